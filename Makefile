@@ -1,0 +1,30 @@
+# Everything from a bare machine with Python >= 3.11: each target makes its own environment first.
+PYTHON ?= python3
+VENV ?= .venv
+BIN := $(VENV)/bin
+EXPERIMENT ?= C
+SEED ?= 0
+OUT ?= runs/$(EXPERIMENT)-seed$(SEED)
+
+.PHONY: discover test lint benchmark results clean
+
+$(VENV)/.installed: pyproject.toml constraints.txt
+	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "murmurate needs Python >= 3.11; set PYTHON=...")'
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
+	touch $@
+
+discover: $(VENV)/.installed  ## train, evaluate and draw one experiment (EXPERIMENT=C SEED=0 OUT=runs/...)
+	$(BIN)/murmurate discover $(EXPERIMENT) --seed $(SEED) --out $(OUT)
+
+test: lint  ## style, types, layers and all tests
+	$(BIN)/pytest -n 2
+
+lint: $(VENV)/.installed
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/lint-imports
+	$(BIN)/pyright
+
+clean:
+	rm -rf $(VENV) build *.egg-info

@@ -1,0 +1,146 @@
+"""Command-line arguments: a verb's own options, and one flag for every leaf of a configuration.
+
+A wrong command line is one line on stderr and exit status 2, never a page of usage. The flags and the TOML files of
+`murmurate.experiments.fields` are read by the same code, so that both refuse the same values in the same words.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import dataclasses
+import inspect
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any, Literal, NoReturn, get_args, get_origin
+
+from murmurate.errors import UsageError, suggestion
+from murmurate.experiments import fields
+
+__all__ = ["Parser"]
+
+
+class Parser(argparse.ArgumentParser):
+    """The arguments of one verb: `add_argument` for its own, `add_fields` for those of a configuration.
+
+    Args:
+        verb: The verb.
+        positionals: Names of its positional arguments, for the usage line.
+        description: What the verb does; the text of its help.
+    """
+
+    def __init__(self, verb: str, positionals: str, description: str) -> None:
+        self._flags: set[str] = set()
+        self._leaves: dict[str, fields.Leaf] = {}
+        super().__init__(
+            prog=f"murmurate {verb}",
+            usage=" ".join(["murmurate", verb, *positionals.split(), "[options]"]),
+            description=description,
+            formatter_class=_Formatter,
+            allow_abbrev=False,
+        )
+
+    def add_argument(self, *names: Any, **options: Any) -> argparse.Action:
+        """Adds an argument of the verb's own; see `argparse`."""
+        self._flags.update(name for name in names if name.startswith("-"))
+        return super().add_argument(*names, **options)
+
+    def add_fields(self, config: Any, aliases: Mapping[str, str] | None = None, skip: Collection[str] = ()) -> None:
+        """Adds a flag for every leaf of a configuration, grouped by section.
+
+        Args:
+            config: The configuration whose values are shown as the defaults.
+            aliases: Short flags by the leaf's path, such as {"policy.kind": "--policy"}.
+            skip: Paths of leaves that get no flag.
+        """
+        groups: dict[str, Any] = {}
+        for leaf in fields.leaves(config):
+            if leaf.path in skip:
+                continue
+            section = leaf.path.rpartition(".")[0]
+            if section not in groups:
+                groups[section] = self.add_argument_group(section or "experiment", _summary(config, section))
+            names = [alias for path, alias in (aliases or {}).items() if path == leaf.path] + [f"--{leaf.path}"]
+            text = f"{leaf.help} (default: {_shown(leaf.value)})".strip().replace("%", "%%")
+            groups[section].add_argument(
+                *names, dest=leaf.path, metavar=_metavar(leaf.kind), help=text, default=argparse.SUPPRESS
+            )
+            self._flags.update(names)
+            self._leaves[leaf.path] = leaf
+
+    def parse(self, argv: Sequence[str]) -> tuple[argparse.Namespace, dict[str, Any]]:
+        """Reads a command line.
+
+        Args:
+            argv: The words after the verb.
+
+        Returns:
+            The verb's own arguments, and the fields that were given, as nested dictionaries for `fields.replaced`.
+
+        Raises:
+            UsageError: A flag is unknown, or an argument is missing or too many.
+            InputError: The value of a field's flag is of the wrong type.
+        """
+        options = self.parse_args(self._checked(argv))
+        given = {path: vars(options).pop(path) for path in self._leaves if path in options}
+        values = {path: fields.parse(self._leaves[path].kind, text, path) for path, text in given.items()}
+        return options, fields.nested(values)
+
+    def error(self, message: str) -> NoReturn:
+        """Raises what argparse would print together with the usage."""
+        raise UsageError(f"{message} (see {self.prog} --help)")
+
+    def _checked(self, argv: Sequence[str]) -> list[str]:
+        """Refuses unknown flags, and ties negative values to their flags (argparse takes -1e-3 and -inf for flags)."""
+        words: list[str] = []
+        for word in argv:
+            name = word.partition("=")[0]
+            if not word.startswith("-") or name in self._flags:
+                words.append(word)
+            elif _is_number(word) and words and words[-1] in self._flags:
+                words[-1] += f"={word}"
+            else:
+                self.error(f"unknown flag {name}{suggestion(name, self._flags)}")
+        return words
+
+
+class _Formatter(argparse.HelpFormatter):
+    """Help with a column wide enough for dotted flags."""
+
+    def __init__(self, prog: str) -> None:
+        super().__init__(prog, max_help_position=34)
+
+
+def _is_number(word: str) -> bool:
+    with contextlib.suppress(ValueError):
+        float(word)
+        return True
+    return False
+
+
+def _summary(config: Any, section: str) -> str | None:
+    """Returns the first line of what a section's class says about itself."""
+    for name in section.split(".") if section else ():
+        config = getattr(config, name)
+    text = inspect.getdoc(type(config)) if dataclasses.is_dataclass(config) else None
+    return text.partition("\n")[0].replace("%", "%%") if text else None
+
+
+def _shown(value: Any) -> str:
+    """Writes a value as its flag takes it."""
+    if isinstance(value, tuple):
+        return ",".join(map(_shown, value)) or "''"
+    if value is None or isinstance(value, bool):
+        return str(value).lower()
+    return str(value) or "''"
+
+
+def _metavar(kind: Any) -> str:
+    """Names a type in the help."""
+    inner, or_none = fields.optional(kind)
+    if get_origin(inner) is Literal:
+        text = f"{{{','.join(get_args(inner))}}}"
+    elif get_origin(inner) is tuple:
+        text = ",".join("..." if item is Ellipsis else _metavar(item) for item in get_args(inner))
+    else:
+        text = {int: "INT", float: "NUMBER", bool: "{true,false}", str: "TEXT"}[inner]
+    return f"{text}|none" if or_none else text

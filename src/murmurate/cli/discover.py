@@ -1,0 +1,81 @@
+"""`murmurate discover`: trains the policies of an experiment, evaluates them and draws what they form."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from murmurate.cli.arguments import Parser
+from murmurate.errors import RunError
+from murmurate.experiments.paper import EXPERIMENTS, check_experiment
+
+__all__ = ["run"]
+
+NOTHING_VALID = 3
+
+
+def run(argv: Sequence[str]) -> int:
+    """Runs the verb.
+
+    Returns:
+        0, or 3 when no valid pattern was discovered.
+    """
+    word = argv[0] if argv and not argv[0].startswith("-") else None
+    if word is not None:
+        check_experiment(word)  # before JAX is loaded
+    from murmurate.cli.progress import Progress
+    from murmurate.experiments import presets
+    from murmurate.experiments.config import read_toml
+    from murmurate.experiments.training import discover
+
+    options, flags = _parser(word if word in EXPERIMENTS else "C").parse(argv)
+    overlay = read_toml(options.config) if options.config else {}
+    config = presets.resolve(options.experiment, overlay, flags, learner=options.learner)
+    learner = options.learner or config.policy.kind
+    folder = Path(options.out or Path("runs") / f"{config.name}-{learner}-seed{config.seed}")
+    try:
+        with Progress() as progress:
+            discover(config, folder, options.resume, progress.update)
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(f"interrupted; add --resume to the same command to go on with {folder}") from None
+    return _report(folder)
+
+
+def _parser(shown: str) -> Parser:
+    from murmurate.experiments import presets
+
+    parser = Parser("discover", "EXPERIMENT", "Trains the policies of an experiment, evaluates and draws them.")
+    parser.add_argument("experiment", metavar="EXPERIMENT", help=f"{', '.join(EXPERIMENTS)}, or a TOML file")
+    parser.add_argument("--out", metavar="DIR", help="run folder (default: runs/EXPERIMENT-LEARNER-seedSEED)")
+    parser.add_argument("--config", metavar="FILE", help="TOML file of fields to replace; flags win over it")
+    names = ",".join(presets.LEARNERS)
+    text = "whose numbers to begin with (default: those of the policy)"
+    parser.add_argument("--learner", metavar=f"{{{names}}}", help=text)
+    parser.add_argument("--resume", action="store_true", help="continue the run that the folder holds")
+    parser.add_fields(presets.preset(shown), aliases={"policy.kind": "--policy"})
+    parser.epilog = f"Defaults are those of experiment {shown} with the {presets.DEFAULT_LEARNER} learner."
+    return parser
+
+
+def _report(folder: Path) -> int:
+    """Prints and draws a finished run."""
+    from murmurate.cli import outcome
+    from murmurate.experiments import config as configuration
+    from murmurate.experiments import presets, storage, tables
+    from murmurate.experiments.training import VALID
+
+    config, summary = configuration.load(folder), tables.read_evaluation(folder)
+    outcome.print_comparison(summary, presets.paper_row(config))
+    failed = storage.read_manifest(folder).get("outcome") != VALID
+    try:
+        print(f"picture: {outcome.draw(folder)}")
+    except RunError as error:
+        if not failed:
+            raise
+        print(f"no picture: {error}")  # policies that went astray may leave nothing to draw
+    if failed:
+        print(f"No valid pattern was discovered. The run is kept in {folder}; try another --seed or more updates.")
+        return NOTHING_VALID
+    print(f"animation: murmurate show {folder}")
+    print(f"other starts: murmurate evaluate {folder} --seed 1 --out {folder}-evaluation")
+    return 0

@@ -1,0 +1,46 @@
+"""`murmurate experiments`: lists the experiments, or writes one out as TOML."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from murmurate.cli.arguments import Parser
+from murmurate.experiments.paper import EXPERIMENTS, check_experiment
+
+__all__ = ["run"]
+
+HEADER = ("", "robots", "gathers", "start", "X = Y", "R", "scan", "safe", "speed", "paper's steps")
+
+
+def run(argv: Sequence[str]) -> int:
+    """Runs the verb; returns 0."""
+    parser = Parser("experiments", "[EXPERIMENT]", "Lists the experiments; with a name, writes that one out as TOML.")
+    parser.add_argument("experiment", metavar="EXPERIMENT", nargs="?", help=", ".join(EXPERIMENTS))
+    parser.add_argument("--learner", metavar="NAME", help="whose numbers: equivariant (default), central or paper")
+    options, _ = parser.parse(argv)
+    if options.experiment is not None:
+        check_experiment(options.experiment)
+        from murmurate.experiments import fields, presets
+
+        print(fields.dump_toml(presets.resolve(options.experiment, learner=options.learner)), end="")
+        return 0
+    _print_all()
+    print("murmurate experiments C writes out one with all its fields; murmurate discover C runs it.")
+    return 0
+
+
+def _print_all() -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(*HEADER)
+    for row in EXPERIMENTS.values():
+        table.add_row(
+            row.name,
+            str(row.robots),
+            "at origin" if row.objective == "C1" else "anywhere",
+            row.start,
+            *(f"{value:g}" for value in (row.half_side, row.radius, row.scan_radius, row.safe_distance, row.max_speed)),
+            f"{row.total_steps:.2f}",
+        )
+    Console().print(table)

@@ -1,0 +1,93 @@
+"""The command `murmurate`: finds the verb, runs it, and turns what goes wrong into one line and an exit status.
+
+Exit status: 0 done, 2 bad input or an unusable run folder, 3 no valid pattern was discovered, 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+from collections.abc import Sequence
+
+from murmurate import __version__
+from murmurate.errors import InputError, RunError, UsageError, suggestion
+
+__all__ = ["main"]
+
+BAD_INPUT = 2
+INTERRUPTED = 130  # what a shell reports for a process that SIGINT ended
+BROKEN_PIPE = 141  # and for one that SIGPIPE ended
+
+# Each verb is a module of this package with `run(argv) -> int`, imported only when it is called for.
+VERBS = {
+    "discover": "train the policies of an experiment and show the pattern that they form",
+    "evaluate": "run a discovered cascade from fresh starts, or from a file of starts",
+    "show": "draw the figures and the animation of a run",
+    "experiments": "list the experiments",
+    "table": "write the results of many runs as a Markdown table",
+}
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Runs the command line.
+
+    Args:
+        argv: The words after `murmurate`; those of the process by default.
+
+    Returns:
+        The exit status. Errors that a user can cause are one line on stderr; any other exception is a defect and rises.
+    """
+    words = list(sys.argv[1:] if argv is None else argv)
+    try:
+        status = _run(words)
+        sys.stdout.flush()
+        return status
+    except (InputError, RunError, UsageError) as error:
+        return _complain(str(error), BAD_INPUT)
+    except BrokenPipeError:
+        # Whoever read our output has left; Python must not complain about it once more when it flushes at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return BROKEN_PIPE
+    except OSError as error:
+        reason = error.strerror or str(error)
+        return _complain(f"{error.filename}: {reason}" if error.filename else reason, BAD_INPUT)
+    except KeyboardInterrupt as error:
+        return _complain(str(error) or "interrupted", INTERRUPTED)
+    except SystemExit as error:  # argparse leaves this way after printing help
+        return error.code if isinstance(error.code, int) else 0
+
+
+def _run(words: list[str]) -> int:
+    verb = words[0] if words else "--help"
+    if verb in ("-h", "--help", "help"):
+        print(_help())
+        return 0
+    if verb == "--version":
+        print(f"murmurate {__version__}")
+        return 0
+    if verb not in VERBS:
+        what = "flag" if verb.startswith("-") else "verb"
+        known = ["--help", "--version"] if verb.startswith("-") else list(VERBS)
+        raise UsageError(f"unknown {what} {verb}{suggestion(verb, known)} (see murmurate --help)")
+    return importlib.import_module(f"murmurate.cli.{verb}").run(words[1:])
+
+
+def _help() -> str:
+    width = max(map(len, VERBS))
+    return "\n".join(
+        [
+            "usage: murmurate VERB ...",
+            "",
+            "Discovers collisionless patterns in swarms of fat, opaque robots.",
+            "",
+            *(f"  {verb:{width}}  {text}" for verb, text in VERBS.items()),
+            "",
+            "murmurate VERB --help tells more about a verb; murmurate --version prints the version.",
+        ]
+    )
+
+
+def _complain(message: str, status: int) -> int:
+    print(f"murmurate: {' '.join(message.split())}", file=sys.stderr)
+    return status

@@ -1,0 +1,38 @@
+"""What `discover` and `evaluate` say and draw when they are done."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from murmurate.experiments import tables
+from murmurate.experiments.paper import PaperExperiment
+
+__all__ = ["PICTURE", "draw", "print_comparison"]
+
+PICTURE = Path("figures") / "discovery.png"
+
+
+def print_comparison(summary: Mapping[str, Any], row: PaperExperiment | None) -> None:
+    """Prints an evaluation, beside the paper's where it has one."""
+    Console().print(tables.as_rich(*tables.comparison(summary, row)))
+
+
+def draw(folder: Path, episode: int | None = None) -> Path:
+    """Draws the figure of a run folder.
+
+    Returns:
+        The picture.
+
+    Raises:
+        InputError: There is no such episode.
+        RunError: The record is damaged, or the picture cannot be written.
+    """
+    from murmurate import view
+
+    path = folder / PICTURE
+    view.save(view.discovery_figure(view.Record.open(folder), episode), path)
+    return path

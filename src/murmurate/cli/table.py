@@ -1,0 +1,20 @@
+"""`murmurate table`: many runs as one Markdown table."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from murmurate.cli.arguments import Parser
+
+__all__ = ["run"]
+
+
+def run(argv: Sequence[str]) -> int:
+    """Runs the verb; returns 0."""
+    parser = Parser("table", "RUN...", "Prints the results of finished runs as a Markdown table.")
+    parser.add_argument("runs", metavar="RUN", nargs="+", help="folder of a finished run")
+    options, _ = parser.parse(argv)
+    from murmurate.experiments import tables
+
+    print(tables.as_markdown(tables.RESULTS, tables.results(options.runs)), end="")
+    return 0

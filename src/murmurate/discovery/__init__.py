@@ -1,0 +1,21 @@
+"""Algorithm 1 and Algorithm 2: base and auxiliary policies, the cascade that executes them, and what counts as valid."""
+
+from murmurate.discovery.algorithm import Discovery, Problem, Snapshot, policy_name
+from murmurate.discovery.cascade import Cascade, RestRule, Trajectories
+from murmurate.discovery.config import DiscoveryConfig, StageConfig
+from murmurate.discovery.validity import Verdict, bound_steps, judge
+
+__all__ = [
+    "Cascade",
+    "Discovery",
+    "DiscoveryConfig",
+    "Problem",
+    "RestRule",
+    "Snapshot",
+    "StageConfig",
+    "Trajectories",
+    "Verdict",
+    "bound_steps",
+    "judge",
+    "policy_name",
+]

@@ -1,0 +1,229 @@
+"""The paper's two algorithms: train one policy from a set of configurations; grow the list until patterns are valid."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from murmurate.discovery.cascade import Cascade, RestRule
+from murmurate.discovery.config import DiscoveryConfig, StageConfig
+from murmurate.discovery.validity import judge
+from murmurate.learning import Hyperparameters, Shape, TrainState, init, train_chunk
+from murmurate.policies import PolicyConfig, Sizes, make_networks
+from murmurate.world import Anywhere, Layouts, Mixture, Start, StartConfig, WeightsConfig, World, WorldConfig, make_start
+
+__all__ = ["Discovery", "Problem", "Snapshot", "policy_name"]
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What is to be discovered, and how; an experiment without its bookkeeping.
+
+    Attributes:
+        world: Sizes.
+        objective: C1 or C2.
+        start: Where episodes begin: the paper's (S_0, epsilon).
+        policy: Which networks.
+        base: How the first policy is trained.
+        auxiliary: How each later one is.
+        discovery: How the list grows.
+        rest: When a policy has come to rest.
+        seed: Seed of everything random.
+    """
+
+    world: WorldConfig
+    objective: str
+    start: StartConfig
+    policy: PolicyConfig
+    base: StageConfig
+    auxiliary: StageConfig
+    discovery: DiscoveryConfig
+    rest: RestRule
+    seed: int
+
+    def stage(self, index: int) -> StageConfig:
+        """Returns how the policy of that place in the list is trained."""
+        return self.base if index == 0 else self.auxiliary
+
+    def evaluation_world(self) -> World:
+        """Builds the world with the experiment's start and all weights 1, as evaluation measures it."""
+        return World.create(self.world, make_start(self.start, self.world), self.objective)
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """How far a discovery has come: all that resuming needs.
+
+    Attributes:
+        policies: The list Pi of finished policies.
+        sigma: The set of configurations that the policy in training starts from, repeated up to a fixed number; empty
+            when every episode of the policy before ended in a collision or outside the world.
+        valid: Share of valid patterns after the last finished policy.
+        train: Training of the policy at hand; None between two policies.
+        finished: Whether the search is over.
+    """
+
+    policies: tuple[Any, ...]
+    sigma: Float[Array, "sigma robots 2"]
+    valid: float
+    train: TrainState | None
+    finished: bool = False
+
+
+def policy_name(index: int) -> str:
+    """Returns what a policy is called by its place in the list."""
+    return "base" if index == 0 else "auxiliary"
+
+
+class Discovery:
+    """Algorithm 2, one chunk of updates at a time.
+
+    Whatever is random derives from the seed and the place in the list, never from what ran before, so a discovery that
+    is resumed from any snapshot ends in the same weights as an unbroken one.
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        """Builds the world; no training yet.
+
+        Raises:
+            InputError: The problem is impossible, as with too many robots for the start.
+        """
+        self.problem = problem
+        self.world = _with_array_leaves(problem.evaluation_world())
+        self._key = jax.random.key(problem.seed)
+        sizes = problem.world
+        self._sizes = Sizes(
+            robots=sizes.robots,
+            half_width=sizes.half_width,
+            half_height=sizes.half_height,
+            radius=sizes.radius,
+            safe_distance=sizes.safe_distance,
+            max_speed=sizes.max_speed,
+            landmark=problem.objective == "C1",
+        )
+
+    def begin(self) -> Snapshot:
+        """Returns the snapshot before the first policy: sigma is the experiment's start."""
+        return Snapshot(policies=(), sigma=self._initial_sigma(), valid=0.0, train=None)
+
+    def networks(self, index: int) -> tuple[Any, Any]:
+        """Builds the fresh networks of the policy at a place in the list."""
+        networks = make_networks(self.problem.policy, self._sizes, self._draw(index, "networks"))
+        # An array made of a Python number is weakly typed: training would compile once more at its second chunk.
+        return jax.tree.map(lambda x: jnp.asarray(x, x.dtype), networks)
+
+    def template(self, snapshot: Snapshot) -> TrainState:
+        """Returns a training state of the right structure, to load a checkpoint into."""
+        index = len(snapshot.policies)
+        return self._init(index, snapshot)
+
+    def cascade(self, policies: tuple[Any, ...]) -> Cascade:
+        """Returns the list of policies as it is executed."""
+        return Cascade(policies, self.world, self.problem.rest)
+
+    def advance(self, snapshot: Snapshot) -> tuple[Snapshot, list[dict[str, Any]]]:
+        """Runs one chunk of updates; after a policy's last one, also evaluates the list.
+
+        Returns:
+            The new snapshot, and the metrics of every update of the chunk.
+        """
+        index = len(snapshot.policies)
+        stage = self.problem.stage(index)
+        train = snapshot.train or self._init(index, snapshot)
+        done = int(train.update)
+        updates = min(self.problem.discovery.chunk, stage.ppo.updates - done)
+        hyper = _with_array_leaves(Hyperparameters.create(stage.ppo))
+        train, metrics = train_chunk(train, self._training_world(index, snapshot), hyper, Shape.create(stage.ppo), updates)
+        rows = _rows(jax.device_get(metrics), index, done, stage)
+        if int(train.update) < stage.ppo.updates:
+            return replace(snapshot, train=train), rows
+        return self._conclude(snapshot, train.policy), rows
+
+    def _conclude(self, snapshot: Snapshot, policy: Any) -> Snapshot:
+        """Appends a trained policy, evaluates from sigma, and decides whether the list is complete."""
+        config = self.problem.discovery
+        index = len(snapshot.policies)
+        policies = (*snapshot.policies, policy)
+        starts = self._training_world(index, snapshot).start if index == 0 else None
+        # Every policy's sigma* comes from running the whole list so far from where the base policy was trained.
+        source = starts or self._training_world(0, self.begin()).start
+        sampled = source.sample(self._draw(index, "sigma"), config.sigma)
+        ran = self.cascade(policies).rollout(np.moveaxis(np.asarray(sampled), -1, 0))
+        alive = ran.final[~ran.terminated]
+        valid = self.validity(policies, self._draw(index, "evaluation"))
+        complete = len(policies) >= config.min_policies and valid >= config.required_valid
+        finished = complete or len(policies) == config.max_policies or len(alive) == 0
+        sigma = _repeat_to(alive, config.sigma) if len(alive) else jnp.asarray(alive)
+        return Snapshot(policies=policies, sigma=sigma, valid=valid, train=None, finished=finished)
+
+    def validity(self, policies: tuple[Any, ...], key: PRNGKeyArray) -> float:
+        """Returns the share of fresh episodes from (S_0, epsilon) in which the list forms a valid pattern."""
+        starts = np.moveaxis(np.asarray(self.world.start.sample(key, self.problem.discovery.episodes)), -1, 0)
+        return float(judge(self.cascade(policies).rollout(starts), self.problem.world).valid.mean())
+
+    def _draw(self, index: int, purpose: str) -> PRNGKeyArray:
+        purposes = ("networks", "training", "sigma", "evaluation", "worlds", "initial")
+        return jax.random.fold_in(jax.random.fold_in(self._key, index), purposes.index(purpose))
+
+    def _initial_sigma(self) -> Float[Array, "sigma robots 2"]:
+        start, size = self.world.start, self.problem.discovery.sigma
+        if isinstance(start, Layouts):
+            return _repeat_to(np.asarray(start.points), size)
+        return jnp.moveaxis(start.sample(self._draw(0, "initial"), size), -1, 0)
+
+    def _training_world(self, index: int, snapshot: Snapshot) -> World:
+        """The world that a policy is trained in. Base and auxiliary differ in numbers only, so one compilation serves."""
+        stage, sizes = self.problem.stage(index), self.problem.world
+        place = {"half_width": sizes.half_width, "half_height": sizes.half_height, "radius": sizes.radius}
+        noise = (self.problem.start.noise if index == 0 else stage.noise) * sizes.radius
+        share = stage.random_share if index == 0 else 0.0
+        if index == 0 and self.problem.start.kind == "random":
+            share = 1.0
+        start: Start = Mixture(
+            Layouts(points=snapshot.sigma, noise=noise, **place),
+            Anywhere(robots=sizes.robots, spread=stage.random_spread, **place),
+            share,
+        )
+        weights: WeightsConfig = stage.weights
+        shared = self.problem.policy.kind == "equivariant"
+        return _with_array_leaves(World.create(sizes, start, self.problem.objective, weights, stage.horizon, shared))
+
+    def _init(self, index: int, snapshot: Snapshot) -> TrainState:
+        policy, value = self.networks(index)
+        stage = self.problem.stage(index)
+        if index and stage.warm_start:
+            policy = eqx.tree_at(lambda p: p.log_std, snapshot.policies[-1], policy.log_std)
+        worlds, clock = jax.random.split(self._draw(index, "worlds"))
+        state = self._training_world(index, snapshot).reset_batch(worlds, stage.ppo.worlds)
+        # Episodes that all began together would all end together, and every batch would hold one age only.
+        ages = jax.random.randint(clock, state.step.shape, 0, stage.horizon, state.step.dtype)
+        state = eqx.tree_at(lambda s: s.step, state, ages)
+        return init(policy, value, state, self._draw(index, "training"))
+
+
+def _repeat_to(configurations: np.ndarray, size: int) -> Float[Array, "size robots 2"]:
+    return jnp.asarray(configurations[np.arange(size) % len(configurations)], jnp.float32)
+
+
+def _with_array_leaves(tree: Any) -> Any:
+    """Turns plain numbers into arrays, so that changing one does not recompile what was compiled for another."""
+    return jax.tree.map(lambda x: jnp.asarray(x) if isinstance(x, int | float) else x, tree)
+
+
+def _rows(metrics: dict[str, Any], index: int, done: int, stage: StageConfig) -> list[dict[str, Any]]:
+    """Turns stacked metrics into one row an update."""
+    count = len(metrics["reward"])
+    rows = []
+    for i in range(count):
+        row = jax.tree.map(lambda x, i=i: float(x[i]), metrics)
+        steps = (done + i + 1) * stage.ppo.worlds * stage.ppo.steps
+        rows.append({"policy": index, "name": policy_name(index), "update": done + i + 1, "policy_steps": steps, **row})
+    return rows
+
+

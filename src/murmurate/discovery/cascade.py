@@ -1,0 +1,172 @@
+"""The policy list as it is executed: each policy acts until the swarm comes to rest, then the next; then all hold still."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from murmurate.errors import InputError
+from murmurate.world import World
+
+__all__ = ["Cascade", "RestRule", "Trajectories"]
+
+
+@dataclass(frozen=True)
+class RestRule:
+    """When a policy has brought the swarm to rest.
+
+    Attributes:
+        window: Steps over which the mean |step reward| is taken.
+        tolerance: Rest is a mean below this; the reward is the objective's change, all weights as the paper's.
+        max_steps: Steps after which a policy that does not come to rest is cut off.
+    """
+
+    window: int = 5
+    tolerance: float = 1e-3
+    max_steps: int = 300
+
+    def __post_init__(self) -> None:
+        if self.window < 1:
+            raise InputError("window", self.window, "an integer >= 1")
+        if not (math.isfinite(self.tolerance) and self.tolerance > 0):
+            raise InputError("tolerance", self.tolerance, "a finite number > 0")
+        if self.max_steps < 1:
+            raise InputError("max_steps", self.max_steps, "an integer >= 1")
+
+
+@dataclass(frozen=True)
+class Trajectories:
+    """Episodes of a cascade; after its length an episode holds still.
+
+    Attributes:
+        positions: Centres, world units.
+        lengths: Formation steps: steps until the cascade was at rest, terminated or cut off.
+        switch: Steps at which each later policy took over; the length where it never did.
+        at_rest: Whether the last policy came to rest.
+        terminated: Whether the episode ended in a collision or outside the world.
+        signals: Signals by name.
+    """
+
+    positions: Float[np.ndarray, "episodes steps_and_one robots 2"]
+    lengths: Int[np.ndarray, " episodes"]
+    switch: Int[np.ndarray, "episodes later_policies"]
+    at_rest: Bool[np.ndarray, " episodes"]
+    terminated: Bool[np.ndarray, " episodes"]
+    signals: dict[str, Float[np.ndarray, "episodes steps_and_one"]]
+
+    @property
+    def final(self) -> Float[np.ndarray, "episodes robots 2"]:
+        """The configurations at the end."""
+        return self.positions[:, -1]
+
+
+class _Status(eqx.Module):
+    """Where the cascade stands in each episode of the batch."""
+
+    state: Any
+    charge: Int[Array, " batch"]
+    since: Int[Array, " batch"]
+    changes: Float[Array, "window batch"]
+    length: Int[Array, " batch"]
+    switch: Int[Array, "policies batch"]
+    at_rest: Bool[Array, " batch"]
+    terminated: Bool[Array, " batch"]
+
+    def active(self) -> Bool[Array, " batch"]:
+        """Says which episodes still move."""
+        return (self.charge < self.switch.shape[0]) & ~self.terminated
+
+
+CHUNK = 50
+"""Steps between two looks at whether every episode has ended."""
+
+
+class Cascade(eqx.Module):
+    """A list of policies, executed one after another in a world."""
+
+    policies: tuple[Any, ...]
+    world: World
+    rest: RestRule = eqx.field(static=True)
+
+    def rollout(self, starts: Float[np.ndarray, "episodes robots 2"]) -> Trajectories:
+        """Executes the cascade from the given configurations, always with the most likely action.
+
+        Args:
+            starts: One configuration for each episode.
+
+        Returns:
+            What happened, until the last episode ended.
+        """
+        status = _begin(self, jnp.moveaxis(jnp.asarray(starts, jnp.float32), 0, -1))
+        first = (status.state.positions[None], jax.tree.map(lambda s: s[None], self.world.signals(status.state.positions)))
+        parts = [jax.device_get(first)]
+        while bool(jnp.any(status.active())):
+            status, part = _advance(self, status)
+            parts.append(jax.device_get(part))
+        lengths = np.asarray(status.length)
+        steps = int(lengths.max()) + 1
+        positions = np.concatenate([p for p, _ in parts])[:steps]
+        names = list(parts[0][1])
+        return Trajectories(
+            positions=np.ascontiguousarray(np.moveaxis(positions, -1, 0)),
+            lengths=lengths.astype(np.int32),
+            switch=np.asarray(status.switch[:-1].T, np.int32),
+            at_rest=np.asarray(status.at_rest),
+            terminated=np.asarray(status.terminated),
+            signals={n: np.concatenate([s[n] for _, s in parts])[:steps].T for n in names},
+        )
+
+
+@eqx.filter_jit
+def _begin(cascade: Cascade, positions: Float[Array, "robots 2 batch"]) -> _Status:
+    batch = positions.shape[-1]
+    none = jnp.zeros(batch, jnp.int32)
+    no = jnp.zeros(batch, bool)
+    changes = jnp.full((cascade.rest.window, batch), jnp.inf)
+    switch = jnp.zeros((len(cascade.policies), batch), jnp.int32)
+    return _Status(cascade.world.state(positions), none, none, changes, none, switch, no, no)
+
+
+@eqx.filter_jit
+def _advance(cascade: Cascade, status: _Status) -> tuple[_Status, tuple[Array, dict[str, Array]]]:
+    return jax.lax.scan(lambda status, _: _step(cascade, status), status, None, length=CHUNK)
+
+
+def _step(cascade: Cascade, status: _Status) -> tuple[_Status, tuple[Array, dict[str, Array]]]:
+    rest, active = cascade.rest, status.active()
+    observation = cascade.world.observe(status.state)
+    velocities = jnp.zeros_like(observation)
+    for index, policy in enumerate(cascade.policies):
+        velocities = jnp.where(active & (status.charge == index), policy(observation), velocities)
+    after, transition = cascade.world.step(status.state, velocities)
+    length = status.length + active
+    terminated = status.terminated | (active & transition.terminated)
+    changes = jnp.concatenate([status.changes[1:], jnp.abs(after.objective - status.state.objective)[None]])
+    since = status.since + active
+    rested = active & (changes.mean(axis=0) < rest.tolerance) & ~terminated
+    over = rested | (active & (since >= rest.max_steps))
+    last = status.charge == len(cascade.policies) - 1
+    charge = status.charge + over
+    # The policy in charge was still at work at this step; the next one, if any, takes over after it.
+    number = jnp.arange(len(cascade.policies))[:, None]
+    switch = jnp.where(active & (number >= status.charge), length, status.switch)
+    status = _Status(
+        state=after,
+        charge=charge,
+        since=jnp.where(over, 0, since),
+        changes=jnp.where(over, jnp.inf, changes),
+        length=length,
+        switch=switch,
+        at_rest=status.at_rest | (rested & last),
+        terminated=terminated,
+    )
+    return status, (after.positions, transition.signals)
+
+

@@ -1,0 +1,75 @@
+"""Numbers of the two algorithms."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+from murmurate.errors import InputError
+from murmurate.learning import PPOConfig
+from murmurate.world import WeightsConfig
+
+__all__ = ["DiscoveryConfig", "StageConfig"]
+
+
+@dataclass(frozen=True)
+class StageConfig:
+    """How one policy of the list is trained (the paper's Algorithm 1).
+
+    Attributes:
+        weights: Weights of the signals in this policy's reward.
+        ppo: Numbers of the learner; its discount is the paper's F_gamma at this policy.
+        horizon: Steps after which a training episode is truncated.
+        noise: Half-width of the uniform noise on each restart configuration, in robot radii (auxiliary only).
+        random_share: Share of training episodes that begin anywhere in the world instead of at the start (base only).
+        random_spread: Such an episode's robots lie within a window of at least this share of the world's sides.
+        warm_start: Whether the networks begin as those of the policy before (auxiliary only).
+    """
+
+    weights: WeightsConfig = field(default_factory=WeightsConfig)
+    ppo: PPOConfig = field(default_factory=PPOConfig)
+    horizon: int = 120
+    noise: float = 0.25
+    random_share: float = 0.5
+    random_spread: float = 0.2
+    warm_start: bool = False
+
+    def __post_init__(self) -> None:
+        if self.horizon < 1:
+            raise InputError("horizon", self.horizon, "an integer >= 1")
+        if not (math.isfinite(self.noise) and self.noise >= 0):
+            raise InputError("noise", self.noise, "a finite number >= 0")
+        if not 0 <= self.random_share <= 1:
+            raise InputError("random_share", self.random_share, "a number from 0 to 1")
+        if not 0 < self.random_spread <= 1:
+            raise InputError("random_spread", self.random_spread, "a number above 0, at most 1")
+
+
+@dataclass(frozen=True)
+class DiscoveryConfig:
+    """How the list of policies grows (the paper's Algorithm 2).
+
+    Attributes:
+        min_policies: Policies trained in any case: the base policy and, by the paper, one auxiliary.
+        max_policies: Policies after which the search ends, valid or not.
+        required_valid: The list is complete when at least this share of fresh episodes forms a valid pattern.
+        sigma: Size of the set of initial configurations sigma.
+        episodes: Fresh episodes by which the list is judged after each policy.
+        chunk: Updates between two visits to the host: progress, metrics, checkpoint.
+    """
+
+    min_policies: int = 2
+    max_policies: int = 3
+    required_valid: float = 0.995
+    sigma: int = 512
+    episodes: int = 256
+    chunk: int = 5
+
+    def __post_init__(self) -> None:
+        for name in ("min_policies", "max_policies", "sigma", "episodes", "chunk"):
+            if getattr(self, name) < 1:
+                raise InputError(name, getattr(self, name), "an integer >= 1")
+        if self.max_policies < self.min_policies:
+            raise InputError("max_policies", self.max_policies, f"at least min_policies = {self.min_policies}")
+        if not 0 <= self.required_valid <= 1:
+            raise InputError("required_valid", self.required_valid, "a number from 0 to 1")

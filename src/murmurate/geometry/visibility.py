@@ -1,0 +1,178 @@
+r"""Who neighbours whom, and who sees whom, in one configuration of fat opaque robots.
+
+Seen from the centre of robot k, the disc of robot i (radius R, centre at distance d) covers the open angular interval
+[theta - alpha, theta + alpha], sin(alpha) = R / d. Robot j throws a shadow on i exactly when j is nearer to k than i is
+and their intervals overlap: the angle gamma between the two centres is below A = alpha_i + alpha_j. With gamma and A
+both in [0, pi] that is sin(A - gamma) > 0, which needs no inverse trigonometry and loses no digits near tangency.
+
+Where discs overlap (no collision-free run gets there) the same formulas hold with sin(alpha) = min(1, R / d): a disc
+over the observer's centre covers half of its view, and a coincident one, having no direction, throws no shadow.
+
+Kernels take `(robots, 2, *batch)` and work in the namespace of their argument: NumPy in, NumPy out in that precision;
+JAX in, JAX out. The batch stands last because it is the axis that the machine's vector units run along.
+"""
+
+from __future__ import annotations
+
+import functools
+import operator
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+__all__ = ["Counts", "counts", "hides", "neighbors", "occluded", "visible"]
+
+Array = Any  # a NumPy or a JAX array: the kernels use only what both have
+
+
+class Counts(NamedTuple):
+    """The paper's readings of every robot's sensor: G_all, G_vis and G_occ."""
+
+    all: Int[Array, "robots *batch"]
+    vis: Int[Array, "robots *batch"]
+    occ: Int[Array, "robots *batch"]
+
+
+def as_configuration(positions: Float[Array, "robots 2 *batch"]) -> tuple[Any, Any]:
+    """Returns the array namespace and the positions as a floating array of it."""
+    if not hasattr(positions, "__array_namespace__"):
+        positions = np.asarray(positions)
+    xp = positions.__array_namespace__()
+    if not xp.isdtype(positions.dtype, "real floating"):
+        positions = positions.astype(float)
+    return xp, positions
+
+
+def offsets(xp: Any, positions: Float[Array, "robots 2 *batch"]) -> tuple[Any, Any, Any]:
+    """Returns dx, dy and the distance from each observer (row) to each observed (column)."""
+    dx = positions[None, :, 0] - positions[:, None, 0]
+    dy = positions[None, :, 1] - positions[:, None, 1]
+    return dx, dy, xp.sqrt(dx * dx + dy * dy)
+
+
+def off_diagonal(xp: Any, like: Any) -> Bool[Array, "robots robots *ones"]:
+    """Returns True off the diagonal, with as many trailing axes of length 1 as `like` has batch axes."""
+    robots = like.shape[0]
+    return xp.reshape(~xp.eye(robots, dtype=bool), (robots, robots) + (1,) * (like.ndim - 2))
+
+
+def neighbors(positions: Float[Array, "robots 2 *batch"], scan_radius: float) -> Bool[Array, "robots robots *batch"]:
+    """Says who is within scanning distance of whom (centres at most `scan_radius` apart).
+
+    Args:
+        positions: Centres of the robots, world units.
+        scan_radius: The paper's R_scan, world units.
+
+    Returns:
+        True where the robot of the column is a neighbour of the robot of the row; False on the diagonal.
+    """
+    xp, positions = as_configuration(positions)
+    _, _, distance = offsets(xp, positions)
+    return (distance <= scan_radius) & off_diagonal(xp, distance)
+
+
+def occluded(positions: Float[Array, "robots 2 *batch"], radius: float) -> Bool[Array, "robots robots *batch"]:
+    """Says who lies, in part or whole, in a shadow thrown by any third robot.
+
+    Args:
+        positions: Centres of the robots, world units.
+        radius: The paper's R_bot, world units.
+
+    Returns:
+        True where the robot of the column is occluded from the robot of the row; False on the diagonal.
+    """
+    xp, positions = as_configuration(positions)
+    dx, dy, distance = offsets(xp, positions)
+    return _occluded(xp, dx, dy, distance, radius)
+
+
+def _shadows(xp: Any, dx: Any, dy: Any, distance: Any, radius: float) -> Callable[[int], Any]:
+    """Returns the function that says who lies in the shadow of robot j: observer k (row), observed i (column)."""
+    other = off_diagonal(xp, distance)
+    safe = xp.where(distance > 0, distance, 1)
+    # A robot does not see itself: an unreachable distance keeps it from ever being the nearer of a pair.
+    reach = xp.where(other, distance, xp.inf)
+    ux, uy = dx / safe, dy / safe
+    sin = xp.where(distance > radius, radius / safe, 1)
+    cos = xp.sqrt((1 - sin) * (1 + sin))
+
+    def shadowed_by(j: int) -> Any:
+        jx, jy, jsin, jcos, jreach = (a[:, j, None] for a in (ux, uy, sin, cos, reach))
+        cos_gamma = ux * jx + uy * jy
+        sin_gamma = xp.abs(ux * jy - uy * jx)
+        sin_sum, cos_sum = sin * jcos + cos * jsin, cos * jcos - sin * jsin
+        return (jreach < reach) & (sin_sum * cos_gamma > cos_sum * sin_gamma) & other
+
+    return shadowed_by
+
+
+def _occluded(xp: Any, dx: Any, dy: Any, distance: Any, radius: float) -> Any:
+    # One robot after another instead of a reduction over a third axis: no N^3 array, and XLA's CPU backend vectorises
+    # this along the batch, which it does not do for a reduction over a middle axis.
+    return functools.reduce(operator.or_, map(_shadows(xp, dx, dy, distance, radius), range(distance.shape[0])))
+
+
+def hides(
+    positions: Float[Array, "robots 2 *batch"], radius: float, scan_radius: float
+) -> Float[Array, "robots *batch"]:
+    """Counts the pairs of other robots that each robot alone hides: they would see each other were it not there.
+
+    Args:
+        positions: Centres of the robots, world units.
+        radius: The paper's R_bot, world units.
+        scan_radius: The paper's R_scan, world units; pairs farther apart do not count.
+
+    Returns:
+        Ordered pairs (observer, observed) for each robot, in the precision of the positions.
+    """
+    xp, positions = as_configuration(positions)
+    dx, dy, distance = offsets(xp, positions)
+    shadowed_by = _shadows(xp, dx, dy, distance, radius)
+    shadows = [shadowed_by(j) for j in range(distance.shape[0])]
+    number = functools.reduce(operator.add, (s.astype(positions.dtype) for s in shadows))
+    alone = (number == 1) & (distance <= scan_radius)
+    return xp.stack([xp.sum(s & alone, axis=(0, 1), dtype=positions.dtype) for s in shadows])
+
+
+def visible(
+    positions: Float[Array, "robots 2 *batch"], radius: float, scan_radius: float
+) -> Bool[Array, "robots robots *batch"]:
+    """Says who is a fully visible neighbour of whom: within `scan_radius` and occluded by nobody.
+
+    Args:
+        positions: Centres of the robots, world units.
+        radius: The paper's R_bot, world units.
+        scan_radius: The paper's R_scan, world units.
+
+    Returns:
+        True where the robot of the column is visible from the robot of the row; False on the diagonal.
+    """
+    return neighbors_and_visible(positions, radius, scan_radius)[1]
+
+
+def neighbors_and_visible(
+    positions: Float[Array, "robots 2 *batch"], radius: float, scan_radius: float
+) -> tuple[Bool[Array, "robots robots *batch"], Bool[Array, "robots robots *batch"]]:
+    """Returns `neighbors` and `visible` from one pass over the pairs."""
+    xp, positions = as_configuration(positions)
+    dx, dy, distance = offsets(xp, positions)
+    near = (distance <= scan_radius) & off_diagonal(xp, distance)
+    return near, near & ~_occluded(xp, dx, dy, distance, radius)
+
+
+def counts(positions: Float[Array, "robots 2 *batch"], radius: float, scan_radius: float) -> Counts:
+    """Counts every robot's neighbours: all of them, the fully visible and the occluded (paper, System Model).
+
+    Args:
+        positions: Centres of the robots, world units.
+        radius: The paper's R_bot, world units.
+        scan_radius: The paper's R_scan, world units.
+
+    Returns:
+        G_all, G_vis and G_occ, each `(robots, *batch)`; G_all = G_vis + G_occ.
+    """
+    near, seen = neighbors_and_visible(positions, radius, scan_radius)
+    everyone, vis = near.sum(axis=1), seen.sum(axis=1)
+    return Counts(everyone, vis, everyone - vis)

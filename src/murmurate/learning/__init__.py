@@ -1,0 +1,28 @@
+"""Proximal policy optimisation on anything that is an `Environment`. Knows nothing of robots."""
+
+from murmurate.learning.advantage import generalized_advantage, rewards_to_go
+from murmurate.learning.config import Hyperparameters, PPOConfig, Schedule, Shape, ValueTarget
+from murmurate.learning.environment import Environment, Transition, restarting_step
+from murmurate.learning.losses import Batch, policy_loss, value_loss
+from murmurate.learning.ppo import Rollout, TrainState, collect, init, train_chunk
+
+__all__ = [
+    "Batch",
+    "Environment",
+    "Hyperparameters",
+    "PPOConfig",
+    "Rollout",
+    "Schedule",
+    "Shape",
+    "TrainState",
+    "Transition",
+    "ValueTarget",
+    "collect",
+    "generalized_advantage",
+    "init",
+    "policy_loss",
+    "restarting_step",
+    "rewards_to_go",
+    "train_chunk",
+    "value_loss",
+]

@@ -1,0 +1,63 @@
+"""Which policy, and how large."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+from murmurate.errors import InputError
+
+__all__ = ["PolicyConfig", "PolicyKind", "Sizes"]
+
+PolicyKind = Literal["central", "equivariant"]
+
+
+@dataclass(frozen=True)
+class PolicyConfig:
+    """Which policy, and how large.
+
+    Attributes:
+        kind: central (the paper's: one network over all positions) or equivariant (shared by all robots).
+        hidden: Widths of the tanh layers (central), or of the edge and node layers (equivariant).
+        basis: Number of radial basis functions (equivariant).
+        log_std: Natural logarithm of the exploration noise over the speed limit before training; it is learned.
+    """
+
+    kind: PolicyKind = "equivariant"
+    hidden: tuple[int, ...] = (128, 128)
+    basis: int = 8
+    log_std: float = -1.0
+
+    def __post_init__(self) -> None:
+        if self.kind not in get_args(PolicyKind):
+            raise InputError("kind", self.kind, f"one of {', '.join(get_args(PolicyKind))}")
+        if not self.hidden or min(self.hidden) < 1:
+            raise InputError("hidden", self.hidden, "one or more integers >= 1")
+        if self.basis < 2:
+            raise InputError("basis", self.basis, "an integer >= 2")
+        if not math.isfinite(self.log_std):
+            raise InputError("log_std", self.log_std, "a finite number")
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """What a network has to know of the world to scale its inputs and outputs.
+
+    Attributes:
+        robots: Number of robots.
+        half_width: The world's X.
+        half_height: The world's Y.
+        radius: The paper's R_bot.
+        safe_distance: The paper's delta_s: the unit of length of the equivariant policy.
+        max_speed: Bound on velocities.
+        landmark: Whether the gathering point is known (objective C1).
+    """
+
+    robots: int
+    half_width: float
+    half_height: float
+    radius: float
+    safe_distance: float
+    max_speed: float
+    landmark: bool

@@ -1,0 +1,112 @@
+"""What a robot can tell of its swarm without a frame: distances, and angles between directions.
+
+All of it is free of parameters, so no gradient ever passes through the pairs and triples below: on a CPU these wide,
+cheap sums cost less than learned layers of the same breadth would.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from murmurate.policies.config import Sizes
+from murmurate.policies.layers import fold
+
+__all__ = ["SHADOWS", "Surroundings", "pair_channels", "robot_channels", "surroundings"]
+
+SHADOWS = 6
+"""Channels of `_shadows`."""
+
+
+class Surroundings(NamedTuple):
+    """What every robot sees: the observer is the first robot axis, the observed the second.
+
+    Attributes:
+        ux: x of the unit vectors towards the others; 0 on the diagonal.
+        uy: y of them.
+        pair: Scalars of each pair, unchanged by moving or turning the swarm.
+        robot: Scalars of each robot, likewise.
+    """
+
+    ux: Float[Array, "robots robots *batch"]
+    uy: Float[Array, "robots robots *batch"]
+    pair: Float[Array, "pair_channels robots robots *batch"]
+    robot: Float[Array, "robot_channels robots *batch"]
+
+
+def pair_channels(basis: int) -> int:
+    """Returns the number of scalars of a pair."""
+    return basis + 2 * (basis // 2) + SHADOWS
+
+
+def robot_channels(basis: int, landmark: bool) -> int:
+    """Returns the number of scalars of a robot."""
+    return 2 * basis + SHADOWS + (2 * basis if landmark else 0)
+
+
+def radial_basis(distance: Float[Array, "*shape"], count: int, scale: float) -> Float[Array, "basis *shape"]:
+    """Gaussians in the logarithm of the distance, from 0.4 to 16 safe distances: fine near by, coarse far away."""
+    centers = jnp.linspace(jnp.log(0.4), jnp.log(16.0), count)
+    width = centers[1] - centers[0]
+    z = (jnp.log(distance / scale + 1e-6) - centers.reshape((-1,) + (1,) * distance.ndim)) / width
+    return jnp.exp(-0.5 * z * z)
+
+
+def _shadows(ux: Array, uy: Array, distance: Array, radius: float) -> Float[Array, "6 robots robots *batch"]:
+    """Says how third robots crowd each line of sight, in units of the angle at which shadows begin to fall.
+
+    For observer k, observed i and a third robot j: a bell and a slope (which side) of j's angular offset, summed over
+    the j nearer than i (they hide i), over the j farther (i hides them), and over the j behind k (k stands between).
+    """
+    half = radius / distance
+
+    def third(j: int) -> tuple[Array, ...]:
+        jx, jy, jd, jh = (a[:, j, None] for a in (ux, uy, distance, half))
+        z = (ux * jy - uy * jx) / (half + jh)
+        cos = ux * jx + uy * jy
+        # j is no third robot where i is j itself; where k is i or j the unit vector, so the cosine, is 0.
+        bell = (1 / (1 + z * z) ** 2).at[:, j].set(0.0)
+        ahead = jnp.where(cos > 0, bell, 0.0)
+        hiding = jnp.where(jd < distance, ahead, 0.0)
+        behind = jnp.where(cos < 0, bell, 0.0)
+        return tuple(w * factor for w in (hiding, ahead - hiding, behind) for factor in (1.0, z))
+
+    return jnp.stack(fold(third, distance.shape[0]))
+
+
+def point(
+    positions: Float[Array, "robots 2 *batch"], basis: int, scale: float
+) -> tuple[Float[Array, "robots *batch"], Float[Array, "robots *batch"], Float[Array, "basis robots *batch"]]:
+    """Direction of the gathering point, fading within a quarter of a safe distance, and the basis of its distance."""
+    x, y = -positions[:, 0], -positions[:, 1]
+    distance = jnp.sqrt(x * x + y * y)
+    soft = jnp.sqrt(distance**2 + (0.25 * scale) ** 2)
+    return x / soft, y / soft, radial_basis(distance, basis, scale)
+
+
+def surroundings(positions: Float[Array, "robots 2 *batch"], basis: int, sizes: Sizes) -> Surroundings:
+    """Measures what every robot sees of every other, and of the gathering point where there is one."""
+    dx = positions[None, :, 0] - positions[:, None, 0]
+    dy = positions[None, :, 1] - positions[:, None, 1]
+    square = dx * dx + dy * dy
+    apart = square > 0
+    distance = jnp.sqrt(jnp.where(apart, square, 1.0))
+    ux, uy = (jnp.where(apart, d / distance, 0.0) for d in (dx, dy))
+    radial = radial_basis(distance, basis, sizes.safe_distance) * apart.astype(positions.dtype)
+
+    def seen(i: int) -> tuple[Array, Array, Array]:
+        return radial[:, :, i], radial[:, :, i] * ux[:, i], radial[:, :, i] * uy[:, i]
+
+    crowd, sx, sy = (total / 4 for total in fold(seen, positions.shape[0]))
+    # Where i lies in the crowd around k, ring by ring, two basis functions to a ring.
+    rings = basis // 2
+    rx, ry = (s[: 2 * rings].reshape((rings, 2, *s.shape[1:])).sum(axis=1)[:, :, None] for s in (sx, sy))
+    shadows = _shadows(ux, uy, distance, sizes.radius)
+    pair = jnp.concatenate([radial, rx * ux + ry * uy, rx * uy - ry * ux, shadows])
+    robot = [crowd, jnp.sqrt(sx * sx + sy * sy), shadows.sum(axis=2) / 4]
+    if sizes.landmark:
+        px, py, near = point(positions, basis, sizes.safe_distance)
+        robot += [near, sx * px + sy * py]
+    return Surroundings(ux, uy, pair, jnp.concatenate(robot))

@@ -1,0 +1,64 @@
+"""Layers on feature-first arrays `(features, *batch)`: the batch stays last, as in the world's kernels."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PRNGKeyArray
+
+__all__ = ["Dense", "Tanh", "fold"]
+
+
+def fold(term: Callable[[int], tuple[Array, ...]], count: int) -> tuple[Array, ...]:
+    """Sums the terms 0 .. count - 1, each a tuple of arrays, by adding whole arrays one after another.
+
+    XLA's CPU backend does not vectorise a reduction over a middle axis once its operand is fused into it; adding the
+    slices, which it does vectorise along the batch, is about five times faster for a swarm of ten.
+    """
+    total = term(0)
+    for index in range(1, count):
+        total = tuple(a + b for a, b in zip(total, term(index), strict=True))
+    return total
+
+
+class Dense(eqx.Module):
+    """An affine map of the leading axis, initialised orthogonally with the given gain."""
+
+    weight: Float[Array, "out features"]
+    bias: Float[Array, " out"]
+
+    def __init__(self, features: int, out: int, key: PRNGKeyArray, gain: float = 1.0) -> None:
+        self.weight = jax.nn.initializers.orthogonal(gain)(key, (out, features))
+        self.bias = jnp.zeros(out)
+
+    def __call__(self, x: Float[Array, "features *batch"]) -> Float[Array, "out *batch"]:
+        """Applies the map to every member of the batch."""
+        return self.linear(x) + self.bias.reshape((-1,) + (1,) * (x.ndim - 1))
+
+    def linear(self, x: Float[Array, "features *batch"]) -> Float[Array, "out *batch"]:
+        """Applies the map without its bias."""
+        # Flattened first, so that the gradient too is one plain matrix product instead of a contraction of many axes.
+        return (self.weight @ x.reshape(x.shape[0], -1)).reshape(-1, *x.shape[1:])
+
+
+class Tanh(eqx.Module):
+    """A stack of dense tanh layers."""
+
+    layers: tuple[Dense, ...]
+
+    def __init__(self, features: int, widths: tuple[int, ...], key: PRNGKeyArray) -> None:
+        keys = jax.random.split(key, max(len(widths), 1))
+        sizes = (features, *widths)
+        self.layers = tuple(
+            Dense(i, o, k, gain=5 / 3) for i, o, k in zip(sizes[:-1], sizes[1:], keys, strict=False)
+        )
+
+    def __call__(self, x: Any) -> Any:
+        """Applies every layer in turn."""
+        for layer in self.layers:
+            x = jnp.tanh(layer(x))
+        return x

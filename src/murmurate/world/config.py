@@ -1,0 +1,54 @@
+"""Sizes of the world and its robots."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+from murmurate.errors import InputError
+
+__all__ = ["Safety", "WorldConfig"]
+
+Safety = Literal["penalty", "shell"]
+
+
+@dataclass(frozen=True)
+class WorldConfig:
+    """The world's sizes; the defaults are those of the paper's ten-robot experiments.
+
+    Attributes:
+        robots: Number of robots N.
+        half_width: The paper's X: the world is |x| <= X, |y| <= Y.
+        half_height: The paper's Y.
+        radius: The paper's R_bot.
+        scan_radius: The paper's R_scan: robots whose centres are at most this far apart are neighbours.
+        safe_distance: The paper's delta_s, between centres.
+        max_speed: Bound on each velocity component, world units per step.
+        safety: Reading of F_safe: penalty, or shell (as printed).
+        collision_penalty: Reward of a step that ends in a collision or outside the world, times -1.
+    """
+
+    robots: int = 10
+    half_width: float = 45.0
+    half_height: float = 45.0
+    radius: float = 1.0
+    scan_radius: float = 20.0
+    safe_distance: float = 5.0
+    max_speed: float = 1.0
+    safety: Safety = "penalty"
+    collision_penalty: float = 1.0
+
+    def __post_init__(self) -> None:
+        if self.robots < 2:
+            raise InputError("robots", self.robots, "an integer >= 2")
+        for name in ("half_width", "half_height", "radius", "scan_radius", "safe_distance", "max_speed"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0):
+                raise InputError(name, value, "a finite number > 0")
+        if self.safe_distance <= 2 * self.radius:
+            raise InputError("safe_distance", self.safe_distance, f"more than two radii ({2 * self.radius:g})")
+        if not (math.isfinite(self.collision_penalty) and self.collision_penalty >= 0):
+            raise InputError("collision_penalty", self.collision_penalty, "a finite number >= 0")
+        if self.safety not in get_args(Safety):
+            raise InputError("safety", self.safety, f"one of {', '.join(get_args(Safety))}")

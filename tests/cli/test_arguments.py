@@ -1,0 +1,145 @@
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import pytest
+
+from murmurate.cli.arguments import Parser
+from murmurate.errors import InputError, UsageError
+from murmurate.experiments import fields
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Sizes of the world.
+
+    Attributes:
+        radius: The paper's R; 100% of it.
+        safety: Reading of F_safe.
+    """
+
+    radius: float = 1.0
+    safety: Literal["penalty", "shell"] = "penalty"
+
+
+@dataclass(frozen=True)
+class Network:
+    """How velocities are chosen.
+
+    Attributes:
+        kind: Which policy.
+        hidden: Widths of the layers.
+    """
+
+    kind: Literal["central", "equivariant"] = "equivariant"
+    hidden: tuple[int, ...] = (400, 300)
+    clip: float | None = None
+    shared: bool = False
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """An experiment.
+
+    Attributes:
+        name: Its name.
+        seed: Seed of all randomness.
+    """
+
+    name: str = "C"
+    seed: int = 0
+    world: Sizes = field(default_factory=Sizes)
+    policy: Network = field(default_factory=Network)
+
+
+@pytest.fixture
+def parser():
+    parser = Parser("discover", "EXPERIMENT", "Trains.")
+    parser.add_argument("experiment", metavar="EXPERIMENT", help="Its name.")
+    parser.add_argument("--out", metavar="DIR", help="Output folder.")
+    parser.add_argument("--resume", action="store_true", help="Continue.")
+    parser.add_fields(Experiment(), aliases={"policy.kind": "--policy"}, skip=["name"])
+    return parser
+
+
+def test_fields_and_own_arguments(parser):
+    words = "--world.radius 2 A --policy central --resume --seed=3 --policy.hidden 8,9 --policy.clip none --out here"
+    options, data = parser.parse(words.split())
+    assert vars(options) == {"experiment": "A", "out": "here", "resume": True}
+    assert data == {
+        "seed": 3,
+        "world": {"radius": 2.0},
+        "policy": {"kind": "central", "hidden": (8, 9), "clip": None},
+    }
+    assert fields.replaced(Experiment(), data).policy.hidden == (8, 9)
+
+
+def test_nothing_given_is_nothing_replaced(parser):
+    assert parser.parse(["A"])[1] == {}
+
+
+@pytest.mark.parametrize("value", ["-1", "-1e-3", "-inf", "nan", "-.5"])
+def test_negative_numbers_are_values(parser, value):
+    radius = parser.parse(["A", "--world.radius", value])[1]["world"]["radius"]
+    assert repr(radius) == repr(float(value))
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        ("A --world.radus 1", "unknown flag --world.radus; did you mean --world.radius? (see murmurate discover"),
+        ("A --world.radus=1", "unknown flag --world.radus; did you mean --world.radius? (see murmurate discover"),
+        ("A --radius 1", "unknown flag --radius; did you mean --world.radius? (see murmurate discover --help)"),
+        ("A --name B", "unknown flag --name"),
+        ("A --zzzzzzz", "unknown flag --zzzzzzz (see murmurate discover --help)"),
+        ("A -x", "unknown flag -x"),
+        ("A --world.rad 1", "unknown flag --world.rad; did you mean --world.radius?"),
+        ("", "the following arguments are required: EXPERIMENT (see murmurate discover --help)"),
+        ("A B", "unrecognized arguments: B"),
+        ("A --world.radius", "argument --world.radius: expected one argument"),
+        ("A --resume=1", "argument --resume: ignored explicit argument '1'"),
+    ],
+)
+def test_usage_errors_are_one_line(parser, words, line, capsys):
+    with pytest.raises(UsageError) as caught:
+        parser.parse(words.split())
+    assert line in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert capsys.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        ("A --world.radius big", "world.radius = 'big': must be a number"),
+        ("A --policy centrl", "policy.kind = 'centrl': must be one of central, equivariant"),
+        ("A --seed 1.5", "seed = '1.5': must be an integer"),
+        ("A --policy.shared yes", "policy.shared = 'yes': must be true or false"),
+    ],
+)
+def test_wrong_values_are_those_of_the_fields(parser, words, line):
+    with pytest.raises(InputError) as caught:
+        parser.parse(words.split())
+    assert str(caught.value) == line
+
+
+def test_help_is_grouped_with_defaults(parser, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "100")
+    with pytest.raises(SystemExit) as stop:
+        parser.parse(["--help"])
+    assert stop.value.code == 0
+    text = capsys.readouterr().out
+    assert text.startswith("usage: murmurate discover EXPERIMENT [options]\n")
+    for part in (
+        "world:\n  Sizes of the world.\n",
+        "--world.radius NUMBER",
+        "The paper's R; 100% of it. (default: 1.0)",
+        "--world.safety {penalty,shell}",
+        "--policy.hidden INT,...",
+        "(default: 400,300)",
+        "--policy.clip NUMBER|none",
+        "--policy.shared {true,false}",
+    ):
+        assert part in text
+    assert "--name" not in text

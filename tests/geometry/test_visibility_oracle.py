@@ -1,0 +1,83 @@
+"""The kernels of visibility against polygons: 100,000 random configurations of 2 to 16 robots, dense and sparse."""
+
+from __future__ import annotations
+
+import jax
+import numpy as np
+import pytest
+import shapely
+
+from murmurate import geometry
+from oracles import visibility as oracle
+from oracles.configurations import CONFIGURATIONS, disjoint, scenes
+
+
+def readings(positions, radius, scan_radius):
+    return (
+        geometry.neighbors(positions, scan_radius),
+        geometry.occluded(positions, radius),
+        geometry.visible(positions, radius, scan_radius),
+        geometry.counts(positions, radius, scan_radius),
+    )
+
+
+KERNELS = [
+    (readings, np.float64, oracle.FLOAT64_TANGENCY),
+    (jax.jit(readings), np.float32, oracle.FLOAT32_TANGENCY),
+]
+
+
+def test_there_are_a_hundred_thousand_configurations():
+    assert sum(CONFIGURATIONS.values()) >= 100_000
+    assert sorted(CONFIGURATIONS) == list(range(2, 17))
+
+
+@pytest.mark.parametrize("robots", CONFIGURATIONS)
+def test_kernels_agree_with_polygons(robots):
+    undecided, occlusions, pairs = {np.float64: 0, np.float32: 0}, 0, 0
+    for positions, radius, side in scenes(robots):
+        scan_radius = 0.5 * side
+        clearance = oracle.shadow_clearance(positions, radius)
+        near = oracle.neighbors(positions, scan_radius)
+        seen = near & (clearance > 0)
+        edge = np.minimum(np.abs(clearance), np.abs(oracle.pairwise_distances(positions) - scan_radius))
+        occlusions += (clearance < 0).sum()
+        pairs += clearance.size
+        for kernels, dtype, tolerance in KERNELS:
+            # Batch last in, batch last out.
+            answers = kernels(np.moveaxis(positions, 0, -1).astype(dtype), radius, scan_radius)
+            got_near, got_occluded, got_seen, counts = jax.tree.map(
+                lambda a: np.moveaxis(np.asarray(a), -1, 0), answers
+            )
+            decided = edge > tolerance * radius
+            undecided[dtype] += (~decided).sum()
+            np.testing.assert_array_equal(got_near[decided], near[decided])
+            np.testing.assert_array_equal(got_occluded[decided], clearance[decided] < 0)
+            np.testing.assert_array_equal(got_seen[decided], seen[decided])
+            sure = decided.all(-1)
+            np.testing.assert_array_equal(counts.all[sure], near.sum(-1)[sure])
+            np.testing.assert_array_equal(counts.vis[sure], seen.sum(-1)[sure])
+            np.testing.assert_array_equal(counts.occ[sure], (near & (clearance < 0)).sum(-1)[sure])
+    assert undecided[np.float64] == 0
+    assert undecided[np.float32] <= 2e-4 * pairs
+    assert (0.02 < occlusions / pairs < 0.9) or robots == 2
+    assert occlusions == 0 or robots > 2
+
+
+def test_the_oracle_follows_the_definition():
+    """A disc is occluded when a segment from the light to a point of its edge passes through another disc."""
+    robots, radius, angles = 5, 1.0, np.linspace(0, 2 * np.pi, 256, endpoint=False)
+    positions = disjoint(np.random.default_rng(0), 100, robots, radius, side=10.0).astype(np.float64)
+    edge = positions[:, :, None] + radius * np.stack([np.cos(angles), np.sin(angles)], -1)
+    light = np.broadcast_to(positions[:, :, None, None], (100, robots, robots, angles.size, 2))
+    rays = shapely.linestrings(np.stack([light, np.broadcast_to(edge[:, None], light.shape)], -2))
+    blocked = shapely.distance(rays[..., None], shapely.points(positions)[:, None, None, None]) < radius
+    observer, observed, occluder = np.ogrid[:robots, :robots, :robots]
+    third = (observer != occluder) & (occluder != observed) & (observed != observer)
+    expected = (blocked.any(3) & third).any(-1)
+    clearance = oracle.shadow_clearance(positions, radius)
+    # Between two of the sampled points the edge bulges by less than 1e-4 R.
+    decided = np.abs(clearance) > 1e-4 * radius
+    np.testing.assert_array_equal(expected[decided], clearance[decided] < 0)
+    assert decided.mean() > 0.99
+    assert 0.1 < expected.mean() < 0.9

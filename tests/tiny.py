@@ -1,0 +1,37 @@
+"""An experiment that trains in a second once it is compiled, for tests of what happens around the training."""
+
+from __future__ import annotations
+
+from murmurate.experiments import fields, presets
+from murmurate.experiments.config import ExperimentConfig
+
+_STAGE = {"horizon": 8, "ppo": {"updates": 4, "worlds": 8, "steps": 4, "minibatches": 2, "epochs": 1}}
+
+TINY = {
+    "name": "tiny",
+    "objective": "C2",
+    "world": {
+        "robots": 3,
+        "half_width": 12.0,
+        "half_height": 12.0,
+        "scan_radius": 40.0,
+        "safe_distance": 4.0,
+        "max_speed": 0.5,
+    },
+    "policy": {"kind": "central", "hidden": [8, 8]},
+    "base": _STAGE,
+    "auxiliary": _STAGE,
+    "discovery": {"sigma": 8, "episodes": 8, "chunk": 2, "max_policies": 2},
+    "rest": {"max_steps": 20},
+}
+
+
+def tiny(**overlay) -> ExperimentConfig:
+    """Returns the tiny experiment with some sections replaced field by field."""
+    return presets.resolve("C", {"start": {"kind": "scattered"}}, TINY, overlay)
+
+
+def write_toml(path, **overlay):
+    """Writes the tiny experiment to a TOML file."""
+    path.write_text(fields.dump_toml(tiny(**overlay)))
+    return path
