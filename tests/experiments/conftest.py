@@ -2,9 +2,9 @@ from __future__ import annotations
 
 import jax
 import pytest
-from tiny import tiny
 
 from murmurate.experiments import training
+from tiny import tiny
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -11,19 +11,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tiny import tiny, write_toml
 
 from murmurate import view
 from murmurate.discovery import Discovery
 from murmurate.errors import InputError, RunError
 from murmurate.experiments import checkpoint, config, evaluation, storage, training
 from murmurate.experiments.run import METRICS
+from tiny import tiny, write_toml
 
 POLICIES = ("policies/0-base.safetensors", "policies/1-auxiliary.safetensors")
 KEPT = ("experiment.toml", "evaluation.json", "trajectories.npz", *POLICIES)
 
 
-class Stopped(Exception):
+class StoppedError(Exception):
     pass
 
 
@@ -34,7 +34,7 @@ def stop_after(calls):
     def tell(*_, **__):
         left[0] -= 1
         if left[0] == 0:
-            raise Stopped
+            raise StoppedError
 
     return tell
 
@@ -111,10 +111,10 @@ def test_evaluation_and_trajectories_have_the_fields_of_the_contract(finished):
         assert (held == held[0]).all()
 
 
-@pytest.mark.parametrize("calls", [1, 2, 3, 4, 6, 7])
+@pytest.mark.parametrize("calls", [1, 2, 3, 6])
 def test_resuming_ends_in_the_same_bytes(finished, tmp_path, calls):
     folder = tmp_path / "run"
-    with pytest.raises(Stopped):
+    with pytest.raises(StoppedError):
         training.discover(tiny(), folder, on_progress=stop_after(calls))
     assert not (folder / "manifest.json").exists()
     with pytest.raises(RunError, match="unfinished"):
@@ -132,11 +132,11 @@ def test_rows_beyond_the_checkpoint_are_cut_off(finished, tmp_path, monkeypatch)
     def failing(*args):
         left[0] -= 1
         if not left[0]:
-            raise Stopped
+            raise StoppedError
         save(*args)
 
     monkeypatch.setattr(checkpoint, "save", failing)
-    with pytest.raises(Stopped):
+    with pytest.raises(StoppedError):
         training.discover(tiny(), folder)
     monkeypatch.undo()
     assert len(rows(folder)) == 4
@@ -166,25 +166,25 @@ def test_a_finished_run_is_not_touched_by_resuming(finished):
 
 
 def test_another_experiment_is_not_resumed(finished):
-    with pytest.raises(RunError, match="another experiment: base.horizon is 8 there, 9 here"):
+    with pytest.raises(RunError, match=r"another experiment: base\.horizon is 8 there, 9 here"):
         training.discover(tiny(base={"horizon": 9}), finished, resume=True)
     with pytest.raises(RunError, match="holds another run"):
         training.discover(tiny(), finished)
 
 
 def test_an_impossible_experiment_writes_nothing(tmp_path):
-    with pytest.raises(InputError, match="world.robots = 30"):
+    with pytest.raises(InputError, match=r"world\.robots = 30"):
         training.discover(tiny(world={"robots": 30, "half_width": 5.0, "half_height": 5.0}), tmp_path / "run")
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_damaged_checkpoint_is_one_line(tmp_path):
     folder = tmp_path / "run"
-    with pytest.raises(Stopped):
+    with pytest.raises(StoppedError):
         training.discover(tiny(), folder, on_progress=stop_after(2))
     path = folder / "checkpoint" / "snapshot.safetensors"
     path.write_bytes(path.read_bytes()[:-10])
-    with pytest.raises(RunError, match="snapshot.safetensors is not a valid"):
+    with pytest.raises(RunError, match=r"snapshot\.safetensors is not a valid"):
         training.discover(tiny(), folder, resume=True)
     storage.save_tree(path, {}, {"policies": 0})
     with pytest.raises(RunError, match="not a checkpoint of this version"):
@@ -192,8 +192,8 @@ def test_a_damaged_checkpoint_is_one_line(tmp_path):
 
 
 def test_no_valid_pattern_is_an_honest_outcome(tmp_path):
-    # Nobody can come to rest in one step, so no episode is ever valid.
-    run = training.discover(tiny(rest={"max_steps": 1, "window": 2}), tmp_path / "run")
+    # Robots begin 20 units apart, and untrained ones do not come near enough to be neighbours.
+    run = training.discover(tiny(world={"scan_radius": 2.5}), tmp_path / "run")
     assert run.manifest["outcome"] == "no valid pattern was discovered"
     assert storage.read_json(tmp_path / "run" / "evaluation.json")["valid"] == 0
     assert len(run.cascade.policies) == 2
@@ -220,10 +220,10 @@ def test_positions_from_a_file_go_along_with_the_run(tmp_path):
     source.write_text("start,x,y\n0,-5,0\n0,0,0\n0,5,1\n")
     wanted = tiny(start={"kind": "file", "file": str(source), "noise": 0.1})
     folder = tmp_path / "run"
-    with pytest.raises(Stopped):
+    with pytest.raises(StoppedError):
         training.discover(wanted, folder, on_progress=stop_after(2))
     source.write_text("start,x,y\n0,-5,0\n0,0,0\n0,5,2\n")
-    with pytest.raises(RunError, match="start.file"):
+    with pytest.raises(RunError, match=r"start\.file"):
         training.discover(wanted, folder, resume=True)
     source.write_text("start,x,y\n0,-5,0\n0,0,0\n0,5,1\n")
     training.discover(wanted, folder, resume=True)

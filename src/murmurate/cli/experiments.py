@@ -9,7 +9,7 @@ from murmurate.experiments.paper import EXPERIMENTS, check_experiment
 
 __all__ = ["run"]
 
-HEADER = ("", "robots", "gathers", "start", "X = Y", "R", "scan", "safe", "speed", "paper's steps")
+HEADER = ("", "robots", "gathers", "start", "X = Y", "R", "scan", "safe", "speed", "steps")
 
 
 def run(argv: Sequence[str]) -> int:
@@ -25,7 +25,8 @@ def run(argv: Sequence[str]) -> int:
         print(fields.dump_toml(presets.resolve(options.experiment, learner=options.learner)), end="")
         return 0
     _print_all()
-    print("murmurate experiments C writes out one with all its fields; murmurate discover C runs it.")
+    print()
+    print("steps: the paper's. murmurate experiments C writes C out with all its fields; murmurate discover C runs it.")
     return 0
 
 
@@ -33,12 +34,12 @@ def _print_all() -> None:
     from rich.console import Console
     from rich.table import Table
 
-    table = Table(*HEADER)
+    table = Table(*HEADER, box=None, padding=(0, 2, 0, 0))
     for row in EXPERIMENTS.values():
         table.add_row(
             row.name,
             str(row.robots),
-            "at origin" if row.objective == "C1" else "anywhere",
+            "at the origin" if row.objective == "C1" else "anywhere",
             row.start,
             *(f"{value:g}" for value in (row.half_side, row.radius, row.scan_radius, row.safe_distance, row.max_speed)),
             f"{row.total_steps:.2f}",

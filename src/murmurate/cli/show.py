@@ -36,9 +36,10 @@ def _show(folder: Path, out: Path, episode: int | None, mp4: bool) -> int:
 
     record = _record(folder)
     animation = out / f"discovery.{'mp4' if mp4 else 'gif'}"
-    view.save(view.discovery_figure(record, episode), out / "discovery.png")
-    print(f"picture: {out / 'discovery.png'}")
+    figure = view.discovery_figure(record, episode)
     view.animate(record, animation, episode)
+    view.save(figure, out / "discovery.png")
+    print(f"picture: {out / 'discovery.png'}")
     print(f"animation: {animation}")
     return 0
 

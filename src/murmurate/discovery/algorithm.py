@@ -14,7 +14,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from murmurate.discovery.cascade import Cascade, RestRule
 from murmurate.discovery.config import DiscoveryConfig, StageConfig
 from murmurate.discovery.validity import judge
-from murmurate.learning import Hyperparameters, Shape, TrainState, init, train_chunk
+from murmurate.learning import Hyperparameters, Repeated, Shape, TrainState, init, train_chunk
 from murmurate.policies import PolicyConfig, Sizes, make_networks
 from murmurate.world import Anywhere, Layouts, Mixture, Start, StartConfig, WeightsConfig, World, WorldConfig, make_start
 
@@ -96,6 +96,8 @@ class Discovery:
         """
         self.problem = problem
         self.world = _with_array_leaves(problem.evaluation_world())
+        if problem.base.random_share:
+            make_start(StartConfig(kind="random"), problem.world)
         self._key = jax.random.key(problem.seed)
         sizes = problem.world
         self._sizes = Sizes(
@@ -139,7 +141,8 @@ class Discovery:
         done = int(train.update)
         updates = min(self.problem.discovery.chunk, stage.ppo.updates - done)
         hyper = _with_array_leaves(Hyperparameters.create(stage.ppo))
-        train, metrics = train_chunk(train, self._training_world(index, snapshot), hyper, Shape.create(stage.ppo), updates)
+        env = Repeated(self._training_world(index, snapshot), jnp.asarray(stage.repeat))
+        train, metrics = train_chunk(train, env, hyper, Shape.create(stage.ppo), updates)
         rows = _rows(jax.device_get(metrics), index, done, stage)
         if int(train.update) < stage.ppo.updates:
             return replace(snapshot, train=train), rows
@@ -153,7 +156,7 @@ class Discovery:
         starts = self._training_world(index, snapshot).start if index == 0 else None
         # Every policy's sigma* comes from running the whole list so far from where the base policy was trained.
         source = starts or self._training_world(0, self.begin()).start
-        sampled = source.sample(self._draw(index, "sigma"), config.sigma)
+        sampled = _sample(source, self._draw(index, "sigma"), config.sigma)
         ran = self.cascade(policies).rollout(np.moveaxis(np.asarray(sampled), -1, 0))
         alive = ran.final[~ran.terminated]
         valid = self.validity(policies, self._draw(index, "evaluation"))
@@ -164,7 +167,7 @@ class Discovery:
 
     def validity(self, policies: tuple[Any, ...], key: PRNGKeyArray) -> float:
         """Returns the share of fresh episodes from (S_0, epsilon) in which the list forms a valid pattern."""
-        starts = np.moveaxis(np.asarray(self.world.start.sample(key, self.problem.discovery.episodes)), -1, 0)
+        starts = np.moveaxis(np.asarray(_sample(self.world.start, key, self.problem.discovery.episodes)), -1, 0)
         return float(judge(self.cascade(policies).rollout(starts), self.problem.world).valid.mean())
 
     def _draw(self, index: int, purpose: str) -> PRNGKeyArray:
@@ -175,7 +178,7 @@ class Discovery:
         start, size = self.world.start, self.problem.discovery.sigma
         if isinstance(start, Layouts):
             return _repeat_to(np.asarray(start.points), size)
-        return jnp.moveaxis(start.sample(self._draw(0, "initial"), size), -1, 0)
+        return jnp.moveaxis(_sample(start, self._draw(0, "initial"), size), -1, 0)
 
     def _training_world(self, index: int, snapshot: Snapshot) -> World:
         """The world that a policy is trained in. Base and auxiliary differ in numbers only, so one compilation serves."""
@@ -185,9 +188,11 @@ class Discovery:
         share = stage.random_share if index == 0 else 0.0
         if index == 0 and self.problem.start.kind == "random":
             share = 1.0
+        # Where nothing comes from anywhere at random, nothing need fit there: without a radius nothing is redrawn.
+        anywhere = {**place, "radius": sizes.radius if share else 0.0}
         start: Start = Mixture(
             Layouts(points=snapshot.sigma, noise=noise, **place),
-            Anywhere(robots=sizes.robots, spread=stage.random_spread, **place),
+            Anywhere(robots=sizes.robots, spread=stage.random_spread, **anywhere),
             share,
         )
         weights: WeightsConfig = stage.weights
@@ -198,13 +203,27 @@ class Discovery:
         policy, value = self.networks(index)
         stage = self.problem.stage(index)
         if index and stage.warm_start:
-            policy = eqx.tree_at(lambda p: p.log_std, snapshot.policies[-1], policy.log_std)
+            policy = snapshot.policies[-1]
+        policy = eqx.tree_at(lambda p: p.log_std, policy, jnp.full_like(policy.log_std, stage.log_std))
         worlds, clock = jax.random.split(self._draw(index, "worlds"))
-        state = self._training_world(index, snapshot).reset_batch(worlds, stage.ppo.worlds)
+        state = _reset(self._training_world(index, snapshot), worlds, stage.ppo.worlds)
         # Episodes that all began together would all end together, and every batch would hold one age only.
         ages = jax.random.randint(clock, state.step.shape, 0, stage.horizon, state.step.dtype)
         state = eqx.tree_at(lambda s: s.step, state, ages)
         return init(policy, value, state, self._draw(index, "training"))
+
+
+# Outside of a jit, the loop that redraws overlaps would be compiled anew at every call.
+
+
+@eqx.filter_jit
+def _sample(start: Start, key: PRNGKeyArray, batch: int) -> Float[Array, "robots 2 batch"]:
+    return start.sample(key, batch)
+
+
+@eqx.filter_jit
+def _reset(world: World, key: PRNGKeyArray, batch: int) -> Any:
+    return world.reset_batch(key, batch)
 
 
 def _repeat_to(configurations: np.ndarray, size: int) -> Float[Array, "size robots 2"]:
@@ -222,7 +241,7 @@ def _rows(metrics: dict[str, Any], index: int, done: int, stage: StageConfig) ->
     rows = []
     for i in range(count):
         row = jax.tree.map(lambda x, i=i: float(x[i]), metrics)
-        steps = (done + i + 1) * stage.ppo.worlds * stage.ppo.steps
+        steps = (done + i + 1) * stage.steps_per_update
         rows.append({"policy": index, "name": policy_name(index), "update": done + i + 1, "policy_steps": steps, **row})
     return rows
 

@@ -25,18 +25,21 @@ class RestRule:
     Attributes:
         window: Steps over which the mean |step reward| is taken.
         tolerance: Rest is a mean below this; the reward is the objective's change, all weights as the paper's.
+        switch_tolerance: The same for a policy that another one follows: it need not settle what that one moves again.
         max_steps: Steps after which a policy that does not come to rest is cut off.
     """
 
     window: int = 5
-    tolerance: float = 1e-3
+    tolerance: float = 5e-4
+    switch_tolerance: float = 1e-3
     max_steps: int = 300
 
     def __post_init__(self) -> None:
         if self.window < 1:
             raise InputError("window", self.window, "an integer >= 1")
-        if not (math.isfinite(self.tolerance) and self.tolerance > 0):
-            raise InputError("tolerance", self.tolerance, "a finite number > 0")
+        for name in ("tolerance", "switch_tolerance"):
+            if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0):
+                raise InputError(name, getattr(self, name), "a finite number > 0")
         if self.max_steps < 1:
             raise InputError("max_steps", self.max_steps, "an integer >= 1")
 
@@ -150,9 +153,10 @@ def _step(cascade: Cascade, status: _Status) -> tuple[_Status, tuple[Array, dict
     terminated = status.terminated | (active & transition.terminated)
     changes = jnp.concatenate([status.changes[1:], jnp.abs(after.objective - status.state.objective)[None]])
     since = status.since + active
-    rested = active & (changes.mean(axis=0) < rest.tolerance) & ~terminated
-    over = rested | (active & (since >= rest.max_steps))
     last = status.charge == len(cascade.policies) - 1
+    tolerance = jnp.where(last, rest.tolerance, rest.switch_tolerance)
+    rested = active & (changes.mean(axis=0) < tolerance) & ~terminated
+    over = rested | (active & (since >= rest.max_steps))
     charge = status.charge + over
     # The policy in charge was still at work at this step; the next one, if any, takes over after it.
     number = jnp.arange(len(cascade.policies))[:, None]

@@ -20,6 +20,8 @@ class StageConfig:
         weights: Weights of the signals in this policy's reward.
         ppo: Numbers of the learner; its discount is the paper's F_gamma at this policy.
         horizon: Steps after which a training episode is truncated.
+        repeat: Steps for which each action is kept up while training; what is learned is executed step by step.
+        log_std: Natural logarithm of the exploration noise over the speed limit before training; then it is learned.
         noise: Half-width of the uniform noise on each restart configuration, in robot radii (auxiliary only).
         random_share: Share of training episodes that begin anywhere in the world instead of at the start (base only).
         random_spread: Such an episode's robots lie within a window of at least this share of the world's sides.
@@ -29,20 +31,30 @@ class StageConfig:
     weights: WeightsConfig = field(default_factory=WeightsConfig)
     ppo: PPOConfig = field(default_factory=PPOConfig)
     horizon: int = 120
+    repeat: int = 1
+    log_std: float = -1.0
     noise: float = 0.25
     random_share: float = 0.5
     random_spread: float = 0.2
     warm_start: bool = False
 
     def __post_init__(self) -> None:
-        if self.horizon < 1:
-            raise InputError("horizon", self.horizon, "an integer >= 1")
+        for name in ("horizon", "repeat"):
+            if getattr(self, name) < 1:
+                raise InputError(name, getattr(self, name), "an integer >= 1")
+        if not math.isfinite(self.log_std):
+            raise InputError("log_std", self.log_std, "a finite number")
         if not (math.isfinite(self.noise) and self.noise >= 0):
             raise InputError("noise", self.noise, "a finite number >= 0")
         if not 0 <= self.random_share <= 1:
             raise InputError("random_share", self.random_share, "a number from 0 to 1")
         if not 0 < self.random_spread <= 1:
             raise InputError("random_spread", self.random_spread, "a number above 0, at most 1")
+
+    @property
+    def steps_per_update(self) -> int:
+        """Steps of the environment in one update."""
+        return self.ppo.worlds * self.ppo.steps * self.repeat
 
 
 @dataclass(frozen=True)

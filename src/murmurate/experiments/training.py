@@ -61,8 +61,7 @@ def discover(
         return Run.open(folder)
     configuration.save(config, folder)
     point = _train(discovery, folder, checkpoint.load(folder, discovery), tell)
-    _finish(discovery, config, folder, point, tell)
-    return Run.open(folder)
+    return _finish(discovery, config, folder, point, tell)
 
 
 def _train(discovery: Discovery, folder: Path, point: Checkpoint, tell: Callable[..., None]) -> Checkpoint:
@@ -90,14 +89,13 @@ def _advance(discovery: Discovery, point: Checkpoint) -> tuple[Checkpoint, list[
     snapshot, rows = discovery.advance(point.snapshot)
     took = time.perf_counter() - begun
     index, problem = len(point.snapshot.policies), discovery.problem
-    ppo = problem.stage(index).ppo
     earlier = _environment_steps(discovery, index)
     done = [
         {
             "environment_steps": earlier + row.pop("policy_steps"),
             **row,
             "objective": sum(row["signals"].values()),
-            "steps_per_second": len(rows) * ppo.worlds * ppo.steps / took,
+            "steps_per_second": len(rows) * problem.stage(index).steps_per_update / took,
             "seconds": point.seconds + took * (place + 1) / len(rows),
         }
         for place, row in enumerate(rows)
@@ -107,8 +105,8 @@ def _advance(discovery: Discovery, point: Checkpoint) -> tuple[Checkpoint, list[
 
 def _environment_steps(discovery: Discovery, policies: int) -> int:
     """Counts the steps that training the first policies of the list took; evaluations are not training."""
-    stages = [discovery.problem.stage(index).ppo for index in range(policies)]
-    return sum(ppo.updates * ppo.worlds * ppo.steps for ppo in stages)
+    stages = [discovery.problem.stage(index) for index in range(policies)]
+    return sum(stage.ppo.updates * stage.steps_per_update for stage in stages)
 
 
 def _tell(discovery: Discovery, point: Checkpoint, tell: Callable[..., None], done: int = 0, **values: Any) -> None:
@@ -121,7 +119,7 @@ def _tell(discovery: Discovery, point: Checkpoint, tell: Callable[..., None], do
 
 def _finish(
     discovery: Discovery, config: ExperimentConfig, folder: Path, point: Checkpoint, tell: Callable[..., None]
-) -> None:
+) -> Run:
     """Writes policies, evaluation and, last of all, the manifest: from then on the run is finished."""
     snapshot = point.snapshot
     tell("evaluation", 0, EPISODES, note=f"{EPISODES} fresh starts")
@@ -129,7 +127,8 @@ def _finish(
     storage.make_folder(folder / "policies")
     for file, policy in zip(files, snapshot.policies, strict=True):
         storage.save_tree(folder / file, policy)
-    evaluation = evaluate(Run(folder, config, discovery.cascade(snapshot.policies), {}))
+    run = Run(folder, config, discovery.cascade(snapshot.policies), {})
+    evaluation = evaluate(run)
     evaluation.save(folder)
     tell("evaluation", EPISODES, EPISODES, valid=float(evaluation.verdict.valid.mean()))
     kept = [storage.EXPERIMENT, *([configuration.STARTS] if config.start.file else []), *files]
@@ -151,3 +150,4 @@ def _finish(
     }
     storage.write_json(folder / storage.MANIFEST, manifest)
     checkpoint.remove(folder)
+    return replace(run, manifest=manifest)

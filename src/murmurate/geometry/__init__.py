@@ -7,7 +7,7 @@ Example:
     array([False,  True, False])
 """
 
-from murmurate.geometry.contact import clearances, closest_approach, collides, contacts, distances, leaves, outside
+from murmurate.geometry.contact import clearances, closest_approach, collides, contacts, distances, leaves, outside, touches
 from murmurate.geometry.visibility import Counts, counts, hides, neighbors, neighbors_and_visible, occluded, visible
 
 __all__ = [
@@ -24,5 +24,6 @@ __all__ = [
     "neighbors_and_visible",
     "occluded",
     "outside",
+    "touches",
     "visible",
 ]

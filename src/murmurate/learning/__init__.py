@@ -2,7 +2,7 @@
 
 from murmurate.learning.advantage import generalized_advantage, rewards_to_go
 from murmurate.learning.config import Hyperparameters, PPOConfig, Schedule, Shape, ValueTarget
-from murmurate.learning.environment import Environment, Transition, restarting_step
+from murmurate.learning.environment import Environment, Repeated, Transition, restarting_step
 from murmurate.learning.losses import Batch, policy_loss, value_loss
 from murmurate.learning.ppo import Rollout, TrainState, collect, init, train_chunk
 
@@ -11,6 +11,7 @@ __all__ = [
     "Environment",
     "Hyperparameters",
     "PPOConfig",
+    "Repeated",
     "Rollout",
     "Schedule",
     "Shape",

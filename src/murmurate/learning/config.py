@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from murmurate.errors import InputError
@@ -101,7 +103,7 @@ class Hyperparameters(eqx.Module):
     @classmethod
     def create(cls, config: PPOConfig) -> Hyperparameters:
         """Takes them from a configuration."""
-        return cls(
+        numbers = cls(
             updates=config.updates,
             discount=config.discount,
             gae_lambda=config.gae_lambda,
@@ -111,6 +113,8 @@ class Hyperparameters(eqx.Module):
             reward_scale=config.reward_scale,
             max_gradient=config.max_gradient,
         )
+        # Arrays, because equinox compiles plain numbers in.
+        return jax.tree.map(jnp.asarray, numbers)
 
 
 @dataclass(frozen=True)

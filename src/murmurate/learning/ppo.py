@@ -108,7 +108,7 @@ def _minibatches(batch: Batch, key: PRNGKeyArray, count: int) -> Batch:
 
 def _descend(network: Any, moments: Any, gradient: Any, rate: Any, max_gradient: Any) -> tuple[Any, Any]:
     """One step of Adam on a gradient whose GLOBAL norm is bounded."""
-    norm = optax.global_norm(gradient)
+    norm = optax.tree.norm(gradient)
     gradient = jax.tree.map(lambda g: g * jnp.minimum(1.0, max_gradient / (norm + 1e-12)), gradient)
     direction, moments = _adam.update(gradient, moments)
     return eqx.apply_updates(network, jax.tree.map(lambda d: -rate * d, direction)), moments

@@ -33,7 +33,7 @@ class CentralPolicy(eqx.Module):
         features = 2 * sizes.robots
         self.body = Tanh(features, config.hidden, body)
         self.head = Dense((features, *config.hidden)[-1], features, head, gain=0.01)
-        self.log_std = jnp.full((sizes.robots, 2), config.log_std)
+        self.log_std = jnp.zeros((sizes.robots, 2))
         self.sizes = sizes
 
     def __call__(self, positions: Float[Array, "robots 2 *batch"]) -> Float[Array, "robots 2 *batch"]:

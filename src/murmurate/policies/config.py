@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -21,13 +20,11 @@ class PolicyConfig:
         kind: central (the paper's: one network over all positions) or equivariant (shared by all robots).
         hidden: Widths of the tanh layers (central), or of the edge and node layers (equivariant).
         basis: Number of radial basis functions (equivariant).
-        log_std: Natural logarithm of the exploration noise over the speed limit before training; it is learned.
     """
 
     kind: PolicyKind = "equivariant"
     hidden: tuple[int, ...] = (128, 128)
     basis: int = 8
-    log_std: float = -1.0
 
     def __post_init__(self) -> None:
         if self.kind not in get_args(PolicyKind):
@@ -36,8 +33,6 @@ class PolicyConfig:
             raise InputError("hidden", self.hidden, "one or more integers >= 1")
         if self.basis < 2:
             raise InputError("basis", self.basis, "an integer >= 2")
-        if not math.isfinite(self.log_std):
-            raise InputError("log_std", self.log_std, "a finite number")
 
 
 @dataclass(frozen=True)

@@ -54,7 +54,7 @@ class EquivariantPolicy(eqx.Module):
         self.theirs = Dense(nodes, edges, keys[3])
         self.head = Dense(edges, 2, keys[4], gain=0.05)
         self.to_point = Dense(nodes, 2, keys[5], gain=0.05)
-        self.log_std = jnp.asarray(config.log_std)
+        self.log_std = jnp.zeros(())
         self.basis = config.basis
         self.sizes = sizes
 
@@ -91,7 +91,7 @@ class EquivariantValue(eqx.Module):
 
     def __init__(self, config: PolicyConfig, sizes: Sizes, key: PRNGKeyArray) -> None:
         keys = jax.random.split(key, 4)
-        width = 2 * config.hidden[0]
+        width = config.hidden[0]
         self.node = Dense(robot_channels(config.basis, sizes.landmark), width, keys[0], gain=5 / 3)
         self.mine = Dense(width, width, keys[1], gain=5 / 3)
         self.ours = Dense(width, width, keys[2])

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import csv
 import math
+import operator
 from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -23,12 +24,16 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from murmurate.errors import InputError
 from murmurate.geometry import clearances
+from murmurate.geometry.visibility import fold
 from murmurate.world.config import WorldConfig
 
 __all__ = ["Anywhere", "Layouts", "Mixture", "Start", "StartConfig", "check_configurations", "layout", "make_start", "read_starts"]
 
 ROUNDS = 500
 """Redraws after which a request is called impossible when a start is built."""
+
+PATIENCE = 50
+"""Redraws after which a configuration that still overlaps is drawn anew as a whole."""
 
 
 StartKind = Literal["scattered", "distributed", "packed", "random", "file"]
@@ -113,10 +118,15 @@ class Anywhere(Start):
     spread: Any = 1.0
 
     def sample(self, key: PRNGKeyArray, batch: int, rounds: int | None = None) -> Float[Array, "robots 2 batch"]:
-        """Draws every robot uniformly in the window, whose sides are a share U(spread, 1) of the world's."""
+        """Draws every robot uniformly in the window, whose sides are a share U(spread, 1) of the world's.
+
+        No window is so small that the discs around N - 1 centres, which the last one must avoid, could fill it.
+        """
         size_key, place_key, draw = jax.random.split(key, 3)
         bounds = jnp.stack([jnp.asarray(self.half_width), jnp.asarray(self.half_height)])[:, None]
-        share = jax.random.uniform(size_key, (2, batch), minval=self.spread, maxval=1.0)
+        room = self.radius * jnp.sqrt(jnp.pi * (self.robots - 1) / (self.half_width * self.half_height))
+        least = jnp.minimum(jnp.maximum(self.spread, room), 1.0)
+        share = jax.random.uniform(size_key, (2, batch), minval=least, maxval=1.0)
         center = bounds * (1 - share) * jax.random.uniform(place_key, (2, batch), minval=-1.0, maxval=1.0)
 
         def propose(key: PRNGKeyArray) -> Float[Array, "robots 2 batch"]:
@@ -144,7 +154,7 @@ def _touches_earlier(positions: Float[Array, "robots 2 batch"], radius: Any) -> 
     """Says which robots touch one of lower number."""
     robots = positions.shape[0]
     earlier = jnp.tril(jnp.ones((robots, robots), bool), -1)[:, :, None]
-    return jnp.any((clearances(positions, radius) <= 0) & earlier, axis=1)
+    return fold(operator.or_, (clearances(positions, radius) <= 0) & earlier, axis=1)
 
 
 def _without_overlap(
@@ -157,7 +167,9 @@ def _without_overlap(
     def redraw(carry: tuple[Any, Any, Any, Any]) -> tuple[Any, Any, Any, Any]:
         key, positions, bad, turn = carry
         key, draw = jax.random.split(key)
-        positions = jnp.where(bad[:, None], propose(draw), positions)
+        # The robots that were placed can leave no room for one more, however often that one is drawn again.
+        stuck = jnp.any(bad, axis=0) & (turn % PATIENCE == PATIENCE - 1)
+        positions = jnp.where((bad | stuck)[:, None], propose(draw), positions)
         return key, positions, _touches_earlier(positions, radius), turn + 1
 
     key, draw = jax.random.split(key)
@@ -247,7 +259,7 @@ def read_starts(path: str | Path, robots: int) -> Float[np.ndarray, "starts robo
             for row in reader:
                 point = (_coordinate(source, reader.line_num, row, "x"), _coordinate(source, reader.line_num, row, "y"))
                 starts.setdefault(str(row["start"]), []).append(point)
-    except (OSError, UnicodeDecodeError) as error:
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
         reason = getattr(error, "strerror", None) or "it is not text"
         raise InputError("starts", source, f"a readable CSV file ({reason})") from None
     if not starts:
@@ -276,8 +288,9 @@ def check_configurations(points: Float[np.ndarray, "starts robots 2"], world: Wo
         InputError: One is; the message names which.
     """
     # What a run computes with is float32, so that is what must be free of collision.
-    points = points.astype(np.float32).astype(float)
-    bounds = np.array([world.half_width, world.half_height])
+    with np.errstate(over="ignore"):
+        points = points.astype(np.float32).astype(float)
+    bounds = np.array([world.half_width, world.half_height], np.float32)
     for index, configuration in enumerate(points):
         if not (np.abs(configuration) <= bounds).all():
             allowed = f"inside |x| <= {world.half_width:g}, |y| <= {world.half_height:g}"
@@ -308,6 +321,11 @@ def make_start(config: StartConfig, world: WorldConfig) -> Start:
 
 def _check_possible(start: Start, config: StartConfig, world: WorldConfig) -> None:
     """Draws a few starts with a bounded number of redraws, so that an impossible one fails instead of hanging."""
-    trial = start.sample(jax.random.key(0), 16, rounds=ROUNDS)
+    trial = _trial(start)
     if bool((clearances(trial, world.radius) <= 0).any()):
         raise InputError("world.robots", world.robots, f"few enough to fit the {config.kind} start without overlap")
+
+
+@jax.jit
+def _trial(start: Start) -> Float[Array, "robots 2 batch"]:
+    return start.sample(jax.random.key(0), 16, rounds=ROUNDS)

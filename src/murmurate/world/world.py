@@ -8,7 +8,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
-from murmurate.geometry import contacts, outside
+from murmurate.geometry import outside, touches
 from murmurate.world.config import WorldConfig
 from murmurate.world.signals import Objective, WeightsConfig, shares, signals
 from murmurate.world.starts import Start
@@ -153,7 +153,7 @@ class World(eqx.Module):
         measured = self.signals(positions)
         objective = self.objective(measured)
         standing = self._standing(positions, objective)
-        touching = jnp.any(contacts(state.positions, velocities, self.radius), axis=1)
+        touching = touches(state.positions, velocities, self.radius)
         culprits = touching | outside(positions, self.half_width, self.half_height)
         terminated = jnp.any(culprits, axis=0)
         blamed = culprits if self.shared else terminated[None]

@@ -1,0 +1,208 @@
+"""Bad input is one line on stderr and exit status 2; nothing is written, and no run is damaged."""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import shutil
+import subprocess
+import sys
+
+import pytest
+
+from murmurate.cli.main import main
+
+START = "start,x,y\n0,-5,0\n0,0,0\n0,5,0\n"
+
+
+@pytest.fixture
+def refused(tmp_path, capsys, monkeypatch):
+    """Runs a command in an empty folder, checks that it is refused, and returns its line."""
+
+    def run(*words, files=0):
+        capsys.readouterr()
+        assert main([str(word) for word in words]) == 2
+        out, err = capsys.readouterr()
+        assert out == ""
+        assert err.startswith("murmurate: ")
+        assert err.count("\n") == 1
+        assert "Traceback" not in err
+        assert len(list(tmp_path.iterdir())) == files
+        return err.removeprefix("murmurate: ").strip()
+
+    monkeypatch.chdir(tmp_path)
+    return run
+
+
+def contents(folder):
+    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        ("discover", "the following arguments are required: EXPERIMENT"),
+        ("discover G", "experiment = 'G': must be one of A, B, C, D, E, F, or an existing TOML file"),
+        ("discover --seed 1 G", "experiment = 'G': must be one of"),
+        ("discover c", "or an existing TOML file; did you mean C?"),
+        ("discover missing.toml", "experiment = 'missing.toml': must be one of"),
+        ("discover C --config missing.toml", "missing.toml: No such file or directory"),
+        ("discover C --seeed 1", "unknown flag --seeed; did you mean --seed?"),
+        ("discover C --world.radus 1", "unknown flag --world.radus; did you mean --world.radius?"),
+        ("discover C --policy centrl", "policy.kind = 'centrl': must be one of central, equivariant"),
+        ("discover C --learner best", "learner = 'best': must be one of equivariant, central, paper"),
+        ("discover C --objective C3", "objective = 'C3': must be one of C1, C2"),
+        ("discover C --seed -1", "seed = -1: must be an integer from 0 to"),
+        ("discover C --seed 1.5", "seed = '1.5': must be an integer"),
+        ("discover C --world.robots 1", "world.robots = 1: must be an integer >= 2"),
+        ("discover C --world.robots -3", "world.robots = -3: must be an integer >= 2"),
+        ("discover C --world.radius -1", "world.radius = -1.0: must be a finite number > 0"),
+        ("discover C --world.radius nan", "world.radius = nan: must be a finite number > 0"),
+        ("discover C --world.max_speed inf", "world.max_speed = inf: must be a finite number > 0"),
+        ("discover C --world.half_width -inf", "world.half_width = -inf: must be a finite number > 0"),
+        ("discover C --base.weights.visible -1", "base.weights.visible = -1.0: must be a finite number >= 0"),
+        ("discover C --auxiliary.weights.safety nan", "auxiliary.weights.safety = nan: must be a finite number >= 0"),
+        ("discover C --world.robots 1000", "world.robots = 1000: must be few enough to fit the distributed start"),
+        ("discover C --start.kind file --start.file no.csv", "starts = 'no.csv': must be a readable CSV file"),
+        ("evaluate", "the following arguments are required: RUN"),
+        ("evaluate none", "none holds no run"),
+        ("evaluate none --episodes 0", "episodes = 0: must be an integer >= 1 and <= 10000"),
+        ("evaluate none --episodes many", "argument --episodes: invalid int value: 'many'"),
+        ("evaluate none --seed -1", "seed = -1: must be an integer from 0 to"),
+        ("evaluate none --starts x.csv --seed 1", "--starts takes every start of its file"),
+        ("show none", "none holds no run"),
+        ("show none none", "of several runs, only the patterns are drawn"),
+        ("table none", "none holds no run"),
+        ("experiments G", "experiment = 'G': must be one of"),
+        ("experiments A --learner best", "learner = 'best': must be one of"),
+    ],
+)
+def test_bad_words(refused, words, line):
+    assert line in refused(*words.split())
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("[world\n", "configuration file = 'my.toml': must be valid TOML"),
+        ("[world]\nradus = 1.0\n", "world.radus = 1.0: must be a field of [world]"),
+        ("[wrld]\nradius = 1.0\n", "did you mean world?"),
+        ('[world]\nradius = "big"\n', "world.radius = 'big': must be a number"),
+        ("[world]\nradius = nan\n", "world.radius = nan: must be a finite number > 0"),
+        ("world = 3\n", "world = 3: must be a table"),
+        ('[policy]\nkind = "paper"\n', "policy.kind = 'paper': must be one of"),
+        ('name = "../up"\n', "name = '../up': must be up to 64 letters"),
+    ],
+)
+def test_bad_experiment_files(refused, tmp_path, text, line):
+    (tmp_path / "my.toml").write_text(text)
+    assert line in refused("discover", "my.toml", files=1)
+    assert line in refused("discover", "C", "--config", "my.toml", files=1)
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        (START.replace("0,5,0\n", ""), "mine.csv: start 0 = '2 robots': must be 3 robots"),
+        (START + "0,9,0\n", "mine.csv: start 0 = '4 robots': must be 3 robots"),
+        (START.replace("start,x,y", "start,x,z"), "must be a table with the header start,x,y"),
+        (START.replace("-5", "left"), "mine.csv line 2: x = 'left': must be a finite number"),
+        (START.replace("-5", "nan"), "mine.csv line 2: x = 'nan': must be a finite number"),
+        (START.replace("-5", "-1.5"), "mine.csv: start 0 = 'overlapping robots'"),
+        (START.replace("-5", "-50"), "mine.csv: start 0 = 'a robot outside'"),
+        ("start,x,y\n", "must be at least one start"),
+        ("", "must be a table with the header start,x,y"),
+        ("\0\1\2", "mine.csv"),
+    ],
+)
+def test_bad_files_of_starts(refused, discovered, tmp_path, text, line):
+    (tmp_path / "mine.csv").write_text(text)
+    before = contents(discovered)
+    assert line in refused("evaluate", discovered, "--starts", "mine.csv", files=1)
+    assert contents(discovered) == before
+
+
+def test_a_file_of_starts_that_is_missing_or_no_text(refused, discovered, tmp_path):
+    assert "must be a readable CSV file" in refused("evaluate", discovered, "--starts", "no.csv")
+    (tmp_path / "mine.csv").write_bytes(b"\xff\xfe\x00")
+    assert "must be a readable CSV file (it is not text)" in refused(
+        "evaluate", discovered, "--starts", "mine.csv", files=1
+    )
+
+
+def test_another_run_is_not_overwritten(refused, discovered, tiny_toml, tmp_path):
+    before = contents(discovered)
+    line = refused("discover", tiny_toml, "--out", discovered)
+    assert "holds another run: continue it with --resume, or choose another --out" in line
+    line = refused("discover", tiny_toml, "--out", discovered, "--resume", "--seed", "1")
+    assert "holds another experiment: seed is 0 there, 1 here; choose another --out" in line
+    assert contents(discovered) == before
+    (tmp_path / "file").write_text("")
+    assert "cannot write to file" in refused("discover", tiny_toml, "--out", "file", files=1)
+    assert "holds other files" in refused("discover", tiny_toml, "--out", ".", files=1)
+
+
+@pytest.mark.parametrize("verb", ["evaluate", "show", "table"])
+def test_damaged_runs(refused, discovered, tmp_path, verb):
+    run = shutil.copytree(discovered, tmp_path / "run")
+    policy = run / "policies" / "0-base.safetensors"
+    policy.write_bytes(policy.read_bytes() + b"x")
+    assert "0-base.safetensors does not match its checksum" in refused(verb, "run", files=1)
+    manifest = json.loads((run / "manifest.json").read_text())
+    (run / "manifest.json").write_text(json.dumps(manifest | {"format": 99}))
+    assert "has format 99; this version of murmurate reads format 1" in refused(verb, "run", files=1)
+    (run / "manifest.json").write_text("{")
+    assert "is not valid JSON" in refused(verb, "run", files=1)
+    (run / "manifest.json").unlink()
+    assert "unfinished run: finish it with murmurate discover --resume" in refused(verb, "run", files=1)
+
+
+def test_no_such_episode(refused, discovered):
+    before = contents(discovered)
+    assert "episode = 200: must be an integer from 0 to 199" in refused("show", discovered, "--episode", "200")
+    assert contents(discovered) == before
+
+
+def test_mp4_needs_the_video_extra(refused, discovered, monkeypatch):
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    before = contents(discovered)
+    assert "the video extra installed" in refused("show", discovered, "--mp4")
+    assert contents(discovered) == before
+
+
+def test_a_full_disk(tiny_toml, discovered, refused, tmp_path):
+    """No file can grow beyond 4 KiB, which is what a full disk looks like."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    before = contents(discovered)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, hard))
+    try:
+        assert "cannot write to run: File too large" in refused("discover", tiny_toml, "--out", "run")
+        assert "cannot write" in refused("evaluate", discovered, "--episodes", "200")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert contents(discovered) == before
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
+def test_a_read_only_folder(tiny_toml, refused, tmp_path):
+    tmp_path.chmod(0o500)
+    try:
+        assert "cannot write to run: Permission denied" in refused("discover", tiny_toml, "--out", "run")
+    finally:
+        tmp_path.chmod(0o700)
+
+
+def test_a_read_only_disk(tiny_toml, refused):
+    assert "cannot write to /proc/run" in refused("discover", tiny_toml, "--out", "/proc/run")
+
+
+def test_the_process_says_it_too(tmp_path):
+    code = "import sys; from murmurate.cli.main import main; sys.exit(main(sys.argv[1:]))"
+    words = ["discover", "C", "--world.radius", "-1"]
+    result = subprocess.run(
+        [sys.executable, "-c", code, *words], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert (result.returncode, result.stdout) == (2, "")
+    assert result.stderr == "murmurate: world.radius = -1.0: must be a finite number > 0\n"
+    assert list(tmp_path.iterdir()) == []

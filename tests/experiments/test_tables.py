@@ -1,0 +1,62 @@
+from __future__ import annotations
+
+import shutil
+
+import pytest
+
+from murmurate.errors import RunError
+from murmurate.experiments import storage, tables
+from murmurate.experiments.paper import EXPERIMENTS
+
+SUMMARY = {
+    "episodes": 200,
+    "starts": "fresh",
+    "collision_free": 1.0,
+    "mutually_visible": 0.99,
+    "gathered": 1.0,
+    "safe": 1.0,
+    "at_rest": 1.0,
+    "valid": 0.99,
+    "valid_interval": [0.9643, 0.9973],
+    "base_steps": 60.0,
+    "auxiliary_steps": 30.5,
+    "total_steps": 90.5,
+    "bound_steps": 30.0,
+}
+
+
+def test_a_run_stands_beside_the_paper():
+    header, rows = tables.comparison(SUMMARY, EXPERIMENTS["E"])
+    assert header == ("200 fresh starts", "paper", "this run")
+    text = {name: (paper, ours) for name, paper, ours in rows}
+    assert text["base steps"] == ("521.71", "60.00")
+    assert text["auxiliary steps"] == ("223.56", "30.50")
+    assert text["total steps"] == ("1168.83 printed, 745.27 summed", "90.50")
+    assert text["total / bound"] == ("-", "3.02")
+    assert text["valid pattern"] == ("-", "198 of 200 (95%: 96.4-99.7%)")
+    assert tables.comparison(SUMMARY, None)[1][2] == ("total steps", "-", "90.50")
+
+
+def test_tables_as_markdown():
+    assert tables.as_markdown(("a", "b"), [("x", "1")]) == "| a | b |\n| --- | ---: |\n| x | 1 |\n"
+
+
+def test_results_of_many_runs(finished):
+    rows = tables.results([finished, finished])
+    assert rows[0] == rows[1]
+    cells = dict(zip(tables.RESULTS, rows[0], strict=True))
+    assert [cells[name] for name in ("experiment", "policy", "seed", "paper's total")] == ["tiny", "central", "0", "-"]
+    assert cells["valid"].endswith(" of 200")
+    assert float(cells["base steps"]) + float(cells["auxiliary steps"]) == pytest.approx(
+        float(cells["total steps"]), abs=0.11
+    )
+
+
+def test_a_broken_evaluation_is_one_line(finished, tmp_path):
+    folder = shutil.copytree(finished, tmp_path / "run")
+    storage.write_json(folder / "evaluation.json", {"episodes": 3})
+    with pytest.raises(RunError, match=r"evaluation\.json lacks .*murmurate evaluate"):
+        tables.results([folder])
+    (folder / "evaluation.json").unlink()
+    with pytest.raises(RunError, match="cannot read"):
+        tables.results([folder])

@@ -1,0 +1,73 @@
+"""The paper's network over all positions: shapes, spread, and that it knows its robots by number."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from murmurate.errors import InputError
+from murmurate.policies import PolicyConfig, Sizes, make_networks
+
+SIZES = Sizes(3, half_width=20.0, half_height=15.0, radius=1.0, safe_distance=5.0, max_speed=0.5, landmark=True)
+
+
+@pytest.fixture(scope="module")
+def networks():
+    return make_networks(PolicyConfig(kind="central", hidden=(8, 6)), SIZES, jax.random.key(0))
+
+
+@pytest.mark.parametrize("batch", [(), (2, 5)])
+def test_shapes(networks, batch):
+    policy, value = networks
+    positions = jax.random.normal(jax.random.key(1), (3, 2, *batch))
+    distribution = policy.distribution(positions)
+    assert policy(positions).shape == positions.shape
+    assert value(positions).shape == (1, *batch)
+    assert distribution.sample(jax.random.key(2)).shape == positions.shape
+    assert distribution.log_prob(positions).shape == (1, *batch)
+    np.testing.assert_array_equal(distribution.mean, policy(positions))
+
+
+def test_a_batch_is_its_members_one_by_one(networks):
+    positions = jax.random.normal(jax.random.key(1), (3, 2, 4))
+    for network in networks:
+        ones = [network(positions[..., i]) for i in range(4)]
+        np.testing.assert_allclose(network(positions), jnp.stack(ones, axis=-1), rtol=1e-4, atol=1e-7)
+
+
+def test_velocities_scale_with_the_speed_limit(networks):
+    policy, _ = networks
+    fast = dataclasses.replace(SIZES, max_speed=2.0)
+    faster, _ = make_networks(PolicyConfig(kind="central", hidden=(8, 6)), fast, jax.random.key(0))
+    positions = jax.random.normal(jax.random.key(1), (3, 2, 4))
+    np.testing.assert_allclose(faster(positions), 4 * policy(positions), rtol=1e-5)
+    spread = [p.distribution(positions).log_std for p in (policy, faster)]
+    np.testing.assert_allclose(spread[1] - spread[0], np.log(4), rtol=1e-5)
+
+
+def test_policy_and_value_are_two_networks(networks):
+    policy, value = networks
+    assert not np.allclose(policy.body.layers[0].weight, value.body.layers[0].weight)
+    again = make_networks(PolicyConfig(kind="central", hidden=(8, 6)), SIZES, jax.random.key(0))
+    other = make_networks(PolicyConfig(kind="central", hidden=(8, 6)), SIZES, jax.random.key(1))
+    np.testing.assert_array_equal(again[0].body.layers[0].weight, policy.body.layers[0].weight)
+    assert not np.allclose(other[0].body.layers[0].weight, policy.body.layers[0].weight)
+
+
+def test_hidden_layers_have_the_configured_widths(networks):
+    for network in networks:
+        assert [layer.weight.shape for layer in network.body.layers] == [(8, 6), (6, 8)]
+
+
+@pytest.mark.parametrize(
+    "fields", [{"kind": "attention"}, {"hidden": ()}, {"hidden": (8, 0)}, {"hidden": (-1,)}, {"basis": 1}]
+)
+def test_no_such_policy(fields):
+    with pytest.raises(InputError) as error:
+        PolicyConfig(**fields)
+    assert error.value.field in fields
+    assert "\n" not in str(error.value)

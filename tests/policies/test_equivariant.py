@@ -1,0 +1,186 @@
+"""Blind to numbering, place and direction: proven in float64, where nothing but the last digits may differ."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from murmurate.policies import PolicyConfig, Sizes, make_networks
+
+FREE = Sizes(5, half_width=45.0, half_height=45.0, radius=1.0, safe_distance=5.0, max_speed=0.7, landmark=False)
+BOUND = dataclasses.replace(FREE, landmark=True)
+BOTH = pytest.mark.parametrize("sizes", [FREE, BOUND], ids=["C2", "C1"])
+call = eqx.filter_jit(lambda network, positions: network(positions))
+seeds = st.integers(0, 2**32 - 1)
+angles = st.floats(-np.pi, np.pi)
+
+
+def networks(sizes, scale=1.0, dtype=jnp.float64):
+    """Networks far from their initial weights, as training would leave them: no coefficient is small or zero."""
+    built = make_networks(PolicyConfig(hidden=(16, 8)), sizes, jax.random.key(0))
+    leaves, structure = jax.tree.flatten(built)
+    rng = np.random.default_rng(1)
+    leaves = [jnp.asarray(scale * (np.asarray(x) + 0.3 * rng.normal(size=x.shape)), dtype) for x in leaves]
+    return jax.tree.unflatten(structure, leaves)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _double_precision():
+    with jax.enable_x64(True):
+        yield
+
+
+@pytest.fixture(scope="module")
+def trained():
+    return {sizes: networks(sizes) for sizes in (FREE, BOUND)}
+
+
+def swarm(seed, robots=5, batch=4):
+    rng = np.random.default_rng(seed)
+    return rng.uniform(-1, 1, (robots, 2, batch)) * rng.choice([4.0, 15.0, 40.0], batch)
+
+
+def turned(vectors, angle):
+    rotation = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    return np.einsum("dc,rcb->rdb", rotation, vectors)
+
+
+def assert_equal(actual, expected):
+    np.testing.assert_allclose(actual, expected, rtol=1e-8, atol=1e-9)
+
+
+@BOTH
+def test_the_networks_below_do_something(trained, sizes):
+    """Otherwise every invariance would hold trivially."""
+    policy, value = trained[sizes]
+    velocities, worth = call(policy, swarm(0)), call(value, swarm(0))
+    assert np.abs(velocities).min() > 1e-4
+    assert np.std(worth, axis=(0, 1) if worth.ndim > 1 else None).min() > 1e-4
+
+
+@BOTH
+@given(seed=seeds, order=st.permutations(range(5)))
+@settings(max_examples=20)
+def test_relabelling(trained, sizes, seed, order):
+    policy, value = trained[sizes]
+    positions = swarm(seed)
+    assert_equal(call(policy, positions[order]), call(policy, positions)[np.array(order)])
+    assert_equal(call(value, positions[order]), call(value, positions)[np.array(order)])
+
+
+@BOTH
+@given(seed=seeds, angle=angles)
+@settings(max_examples=20)
+def test_rotation_about_the_origin(trained, sizes, seed, angle):
+    policy, value = trained[sizes]
+    positions = swarm(seed)
+    assert_equal(call(policy, turned(positions, angle)), turned(call(policy, positions), angle))
+    assert_equal(call(value, turned(positions, angle)), call(value, positions))
+
+
+@given(seed=seeds, shift=st.tuples(st.floats(-50, 50), st.floats(-50, 50)))
+@settings(max_examples=20)
+def test_translation_without_a_gathering_point(trained, seed, shift):
+    policy, value = trained[FREE]
+    positions = swarm(seed)
+    moved = positions + np.array(shift)[:, None]
+    assert_equal(call(policy, moved), call(policy, positions))
+    assert_equal(call(value, moved), call(value, positions))
+
+
+def test_a_gathering_point_is_something_that_a_robot_sees(trained):
+    policy, value = trained[BOUND]
+    positions, moved = swarm(0), swarm(0) + np.array([3.0, -2.0])[:, None]
+    assert np.abs(call(policy, moved) - call(policy, positions)).max() > 1e-3
+    assert np.abs(call(value, moved) - call(value, positions)).max() > 1e-3
+
+
+@BOTH
+@pytest.mark.parametrize("robots", [2, 9])
+def test_any_number_of_robots_has_the_same_weights(trained, sizes, robots):
+    policy, value = trained[sizes]
+    positions = swarm(7, robots)
+    order = np.random.default_rng(2).permutation(robots)
+    velocities, worth = call(policy, positions), call(value, positions)
+    assert velocities.shape == (robots, 2, 4)
+    assert worth.shape == (robots, 4)
+    assert_equal(call(policy, turned(positions, 1.0)[order]), turned(velocities, 1.0)[order])
+    assert_equal(call(value, turned(positions, 1.0)[order]), worth[order])
+
+
+@BOTH
+def test_a_batch_is_its_members_one_by_one(trained, sizes):
+    policy, value = trained[sizes]
+    positions = swarm(3)
+    for network in (policy, value):
+        ones = [call(network, positions[..., i]) for i in range(4)]
+        assert_equal(call(network, positions), np.stack(ones, axis=-1))
+
+
+@BOTH
+@given(seed=seeds, scale=st.sampled_from([1e-6, 1e-3, 1.0, 10.0, 100.0, 1e4]))
+@settings(max_examples=15)
+def test_the_norm_of_velocities_is_bounded(trained, sizes, seed, scale):
+    speed = np.linalg.norm(call(trained[sizes][0], scale * swarm(seed)), axis=1)
+    assert np.isfinite(speed).all()
+    assert (speed <= sizes.max_speed * (1 + 1e-12)).all()
+
+
+@BOTH
+def test_the_bound_holds_in_float32_for_extreme_weights(sizes):
+    policy, _ = networks(sizes, scale=1e3, dtype=jnp.float32)
+    speed = np.linalg.norm(call(policy, swarm(0, batch=64).astype(np.float32)), axis=1)
+    assert speed.max() > 0.99 * sizes.max_speed, "nothing comes near the bound"
+    assert (speed <= sizes.max_speed * (1 + 1e-6)).all()
+
+
+def coincidences():
+    """Robots on one another, at the gathering point, in a row, and all of it at once."""
+    scene = swarm(4)
+    scene[1, :, 0] = scene[0, :, 0]
+    scene[2, :, 1] = 0
+    scene[..., 2] = 0
+    scene[..., 3] = 3.0 * np.arange(-2, 3)[:, None] * np.array([1.0, 0.0])
+    return scene
+
+
+@BOTH
+def test_coincident_robots_are_no_nan(trained, sizes):
+    policy, value = trained[sizes]
+    velocities, worth = call(policy, coincidences()), call(value, coincidences())
+    assert np.isfinite(velocities).all()
+    assert np.isfinite(worth).all()
+    np.testing.assert_array_equal(velocities[..., 2], np.zeros((5, 2)), err_msg="a robot that sees no direction")
+
+
+@BOTH
+def test_gradients_are_finite_and_reach_every_weight(sizes):
+    built = networks(sizes, dtype=jnp.float32)
+    positions = jnp.asarray(np.concatenate([coincidences(), swarm(5)], axis=-1), jnp.float32)
+
+    def loss(built):
+        policy, value = built
+        return policy.distribution(positions).log_prob(positions / 100).mean() + (value(positions) ** 2).mean()
+
+    for path, gradient in jax.tree_util.tree_flatten_with_path(jax.jit(jax.grad(loss))(built))[0]:
+        name = jax.tree_util.keystr(path)
+        assert np.isfinite(gradient).all(), name
+        if name.endswith("weight"):
+            assert np.any(gradient) == (sizes.landmark or "to_point" not in name), name
+
+
+@BOTH
+def test_each_robot_draws_an_action_of_its_own(trained, sizes):
+    policy, _ = trained[sizes]
+    positions = swarm(6)
+    distribution = eqx.filter_jit(lambda policy, positions: policy.distribution(positions))(policy, positions)
+    assert distribution.log_prob(positions).shape == (5, 4)
+    np.testing.assert_allclose(distribution.mean, call(policy, positions), rtol=1e-10)
+    np.testing.assert_allclose(distribution.log_std, policy.log_std + np.log(sizes.max_speed))

@@ -1,0 +1,276 @@
+"""Where episodes begin: every kind of start, drawn, never in collision, always inside."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from murmurate.errors import InputError
+from murmurate.geometry import clearances
+from murmurate.world import Anywhere, Layouts, Mixture, StartConfig, WorldConfig, layout, make_start
+
+LAYOUTS = ("scattered", "distributed", "packed")
+BATCH = 32
+draw = jax.jit(lambda start, key, batch: start.sample(key, batch), static_argnums=2)
+
+
+def roomy(robots, **sizes):
+    """A world in which every layout of that many robots fits."""
+    return WorldConfig(robots=robots, **{"half_width": 130.0, "half_height": 100.0, **sizes})
+
+
+def layouts(config, world):
+    """What `make_start` builds, without its trial draw."""
+    points = jnp.asarray(layout(config, world)[None], jnp.float32)
+    return Layouts(points, config.noise * world.radius, world.half_width, world.half_height, world.radius)
+
+
+def assert_clean(positions, world):
+    """None in collision, none outside: in the precision that a run computes with."""
+    assert np.isfinite(positions).all()
+    assert (clearances(positions, np.float32(world.radius)) > 0).all()
+    bounds = np.array([world.half_width, world.half_height], np.float32)
+    assert (np.abs(positions) <= bounds[:, None]).all()
+
+
+@pytest.mark.parametrize("kind", LAYOUTS)
+@pytest.mark.parametrize("robots", range(2, 41))
+def test_layouts_of_any_number_of_robots(kind, robots):
+    world = roomy(robots)
+    for lines in (1, 2, 3) if kind == "packed" else (1,):
+        points = layout(StartConfig(kind=kind, lines=lines), world)
+        assert points.shape == (robots, 2)
+        assert_clean(points[:, :, None], world)
+
+
+@pytest.mark.parametrize("robots", [2, 13, 40])
+@given(
+    kind=st.sampled_from(LAYOUTS), noise=st.sampled_from([0.0, 2.0]) | st.floats(0, 30), seed=st.integers(0, 2**31 - 1)
+)
+@settings(max_examples=10)
+def test_layouts_with_noise_are_clean(robots, kind, noise, seed):
+    world = roomy(robots)
+    config = StartConfig(kind=kind, noise=noise)
+    positions = np.asarray(draw(layouts(config, world), jax.random.key(seed), BATCH))
+    assert positions.shape == (robots, 2, BATCH)
+    assert_clean(positions, world)
+    centers = layout(config, world)[:, :, None]
+    assert (np.abs(positions - centers) <= noise * world.radius + 1e-4).all()
+
+
+@pytest.mark.parametrize("robots", [2, 13, 40])
+@given(
+    side=st.floats(14.0, 200.0),
+    shape=st.floats(0.5, 2.0),
+    spread=st.floats(0.01, 1.0),
+    seed=st.integers(0, 2**31 - 1),
+)
+@settings(max_examples=10)
+def test_anywhere_is_clean_however_small_the_window(robots, side, shape, spread, seed):
+    """A window too small for the robots would be redrawn for ever."""
+    world = roomy(robots, half_width=side, half_height=side * shape)
+    start = Anywhere(robots, world.half_width, world.half_height, world.radius, spread)
+    assert_clean(np.asarray(draw(start, jax.random.key(seed), BATCH)), world)
+
+
+def test_a_configuration_that_got_stuck_is_drawn_anew():
+    """Of thirty robots crowded around a circle, every thirtieth draw leaves one of them no place at all."""
+    world = WorldConfig(robots=30, half_width=13.0, half_height=13.0)
+    positions = draw(layouts(StartConfig(), world), jax.random.key(1), 512)
+    assert_clean(np.asarray(positions), world)
+
+
+def test_noise_is_uniform_within_its_bounds():
+    world = roomy(2)
+    config = StartConfig(kind="packed", noise=1.5)
+    offsets = np.asarray(draw(layouts(config, world), jax.random.key(0), 4096)) - layout(config, world)[:, :, None]
+    assert np.abs(offsets).max() <= 1.5 + 1e-5
+    shares = np.histogram(offsets, bins=6, range=(-1.5, 1.5))[0] / offsets.size
+    np.testing.assert_allclose(shares, 1 / 6, atol=0.01)
+
+
+def test_noise_at_the_border_keeps_to_the_part_inside():
+    world = WorldConfig(robots=2, half_width=20.0, half_height=20.0)
+    config = StartConfig(kind="scattered", noise=2.0)
+    positions = np.asarray(draw(layouts(config, world), jax.random.key(0), 4096))
+    np.testing.assert_allclose(layout(config, world), [[20, 0], [-20, 0]], atol=1e-12)
+    shares = np.histogram(positions[0, 0], bins=4, range=(18, 20))[0] / 4096
+    np.testing.assert_allclose(shares, 1 / 4, atol=0.04)
+
+
+@pytest.mark.parametrize("kind", ["scattered", "random"])
+def test_draws_are_determined_by_their_key(kind):
+    world = roomy(5)
+    start = make_start(StartConfig(kind=kind), world)
+    first, again, other = (draw(start, jax.random.key(seed), 8) for seed in (0, 0, 1))
+    np.testing.assert_array_equal(first, again)
+    assert (first != other).all()
+    assert len(np.unique(np.asarray(first)[0, 0])) == 8, "each of the batch is drawn for itself"
+
+
+@pytest.mark.parametrize("robots", [2, 7, 10])
+def test_scattered_is_an_even_circle(robots):
+    world = roomy(robots, half_width=60.0, half_height=45.0)
+    points = layout(StartConfig(kind="scattered"), world)
+    np.testing.assert_allclose(np.hypot(*points.T), 45.0)
+    turn = np.diff(np.unwrap(np.arctan2(points[:, 1], points[:, 0])))
+    np.testing.assert_allclose(turn, 2 * np.pi / robots)
+
+
+@pytest.mark.parametrize("robots", [2, 7, 10, 40])
+def test_distributed_is_near_two_opposite_corners(robots):
+    world = roomy(robots)
+    points = layout(StartConfig(kind="distributed"), world)
+    corner = np.array([world.half_width, world.half_height])
+    near = [np.abs(points - sign * corner).max(axis=1) < 6 * (robots / 2) ** 0.5 + 6 for sign in (-1, 1)]
+    assert near[0].sum() == (robots + 1) // 2
+    assert near[1].sum() == robots // 2
+    assert (near[0] ^ near[1]).all()
+
+
+@pytest.mark.parametrize(("robots", "lines"), [(10, 1), (10, 2), (9, 2), (12, 3), (5, 4)])
+def test_packed_is_one_line_or_several(robots, lines):
+    world = roomy(robots)
+    points = layout(StartConfig(kind="packed", lines=lines, spacing=5.0), world)
+    rows = np.unique(points[:, 1])
+    assert len(rows) <= lines
+    assert len(rows) == -(-robots // -(-robots // lines))
+    np.testing.assert_allclose(np.diff(rows), 5.0)
+    for row in rows:
+        np.testing.assert_allclose(np.diff(np.sort(points[points[:, 1] == row, 0])), 5.0)
+
+
+def test_a_mixture_draws_the_second_by_its_share():
+    """The first start is on the left, the second on the right: each draw tells where it comes from."""
+    place = {"half_width": 50.0, "half_height": 50.0, "radius": 1.0, "noise": 1.0}
+    left, right = (Layouts(points=jnp.array([[[x, -5.0], [x, 5.0]]]), **place) for x in (-30.0, 30.0))
+    for share in (0.0, 0.25, 1.0):
+        positions = np.asarray(draw(Mixture(left, right, share), jax.random.key(2), 4096))
+        from_right = positions[:, 0] > 0
+        assert (from_right[0] == from_right[1]).all(), "a configuration is of one start"
+        np.testing.assert_allclose(from_right[0].mean(), share, atol=0.03)
+
+
+def test_layouts_are_drawn_with_equal_chances():
+    points = jnp.stack([jnp.array([[x, -5.0], [x, 5.0]]) for x in (-30.0, 0.0, 30.0)])
+    start = Layouts(points, noise=0.0, half_width=50.0, half_height=50.0, radius=1.0)
+    positions = np.asarray(draw(start, jax.random.key(3), 4096))
+    assert (positions[:, 0] == positions[:1, 0]).all()
+    shares = np.unique(positions[0, 0], return_counts=True)[1] / 4096
+    np.testing.assert_allclose(shares, 1 / 3, atol=0.04)
+
+
+@pytest.mark.parametrize(
+    ("kind", "robots"), [*((kind, robots) for kind in LAYOUTS for robots in (60, 2000)), ("random", 90)]
+)
+def test_too_many_robots_are_an_error_and_no_endless_search(kind, robots):
+    world = WorldConfig(robots=robots, half_width=9.0, half_height=9.0)
+    message = f"^world.robots = {robots}: must be few enough to fit the {kind} start"
+    with pytest.raises(InputError, match=message) as error:
+        make_start(StartConfig(kind=kind), world)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"kind": "circle"},
+        {"noise": -1.0},
+        {"noise": float("nan")},
+        {"noise": float("inf")},
+        {"spacing": 2.0},
+        {"spacing": float("nan")},
+        {"lines": 0},
+        {"kind": "file"},
+        {"kind": "scattered", "file": "starts.csv"},
+    ],
+)
+def test_no_such_start(fields):
+    with pytest.raises(InputError) as error:
+        StartConfig(**fields)
+    assert error.value.field in fields or error.value.field == "file"
+    assert "\n" not in str(error.value)
+
+
+# Files of starts.
+
+WORLD = WorldConfig(robots=2, half_width=45.2, half_height=45.2)
+HEADER = "start,x,y\n"
+
+
+def write(tmp_path, text):
+    path = tmp_path / "starts.csv"
+    path.write_text(text) if isinstance(text, str) else path.write_bytes(text)
+    return str(path)
+
+
+make_file_start = partial(StartConfig, kind="file")
+
+
+def test_a_file_of_starts_comes_back(tmp_path):
+    rng = np.random.default_rng(0)
+    world = WorldConfig(robots=6)
+    starts = np.stack([4.0 * np.arange(12.0).reshape(6, 2) - 20 + rng.uniform(-0.5, 0.5, (6, 2)) for _ in range(3)])
+    rows = [f"{name},{x!r},{y!r}" for name, start in zip("abc", starts.tolist(), strict=True) for x, y in start]
+    start = make_start(make_file_start(file=write(tmp_path, HEADER + "\n".join(rows)), noise=0.0), world)
+    np.testing.assert_array_equal(start.points, starts.astype(np.float32))
+    drawn = np.moveaxis(np.asarray(draw(start, jax.random.key(0), 64)), -1, 0)
+    which = (np.abs(drawn[:, None] - start.points).max(axis=(2, 3)) == 0).argmax(axis=1)
+    np.testing.assert_array_equal(drawn, np.asarray(start.points)[which])
+    assert set(which) == {0, 1, 2}
+
+
+def test_rows_may_come_in_any_order_and_columns_too(tmp_path):
+    path = write(tmp_path, "y,note,start,x\n1,a,7,2\n3,b,5,4\n\n5,c,7,6\n7,d,5,8\n")
+    start = make_start(make_file_start(file=path, noise=0.0), WORLD)
+    np.testing.assert_array_equal(start.points, [[[2, 1], [6, 5]], [[4, 3], [8, 7]]])
+
+
+def test_a_robot_on_the_border_is_inside(tmp_path):
+    path = write(tmp_path, HEADER + "0,45.2,0\n0,-45.2,-45.2\n")
+    start = make_start(make_file_start(file=path), WORLD)
+    assert_clean(np.asarray(draw(start, jax.random.key(0), BATCH)), WORLD)
+
+
+BAD_FILES = {
+    "empty": ("", "header start,x,y"),
+    "only a header": (HEADER, "at least one start"),
+    "no column y": ("start,x\n0,1\n0,9\n", "header start,x,y"),
+    "no header": ("0,1,2\n0,5,6\n", "header start,x,y"),
+    "text": (HEADER + "0,1,2\n0,five,6\n", "line 3: x = 'five': must be a finite number"),
+    "nothing": (HEADER + "0,1,\n0,5,6\n", "line 2: y = ''"),
+    "a short row": (HEADER + "0,1\n0,5,6\n", "line 2: y = None"),
+    "nan": (HEADER + "0,1,nan\n0,5,6\n", "line 2: y = 'nan'"),
+    "infinite": (HEADER + "0,1,2\n0,-1e999,6\n", "line 3: x = '-1e999'"),
+    "one robot short": (HEADER + "a,1,2\na,5,6\nb,1,2\n", "start b = '1 robots': must be 2 robots"),
+    "one robot too many": (HEADER + "0,1,2\n0,5,6\n0,9,9\n", "'3 robots': must be 2 robots"),
+    "overlapping": (HEADER + "0,1,2\n0,5,6\n1,0,0\n1,1.5,0\n", "start 1 = 'overlapping robots': must be more than 2"),
+    "touching": (HEADER + "0,0,0\n0,2,0\n", "start 0 = 'overlapping robots'"),
+    "coincident": (HEADER + "0,1,1\n0,1,1\n", "start 0 = 'overlapping robots'"),
+    "outside": (HEADER + "0,1,2\n0,5,45.3\n", "start 0 = 'a robot outside'"),
+    "far outside": (HEADER + "0,1,2\n0,5,1e300\n", "start 0 = 'a robot outside'"),
+    "no text": (b"start,x,y\n0,1,\xff\xfe\x00\n", "a readable CSV file"),
+    "a field without end": (HEADER + "0,1," + "9" * 200_000, "a readable CSV file"),
+    "a quote without end": (HEADER + '0,1,2\n0,"5,6\n0,7,8\n', "line 4: x = '5,6"),
+}
+
+
+@pytest.mark.parametrize(("content", "message"), BAD_FILES.values(), ids=BAD_FILES.keys())
+def test_a_bad_file_is_one_line(tmp_path, content, message):
+    with pytest.raises(InputError) as error:
+        make_start(make_file_start(file=write(tmp_path, content)), WORLD)
+    assert message in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_a_file_that_cannot_be_read_is_one_line(tmp_path):
+    for path, reason in ((tmp_path / "none.csv", "No such file"), (tmp_path, "Is a directory")):
+        with pytest.raises(InputError, match=f"a readable CSV file .{reason}") as error:
+            make_start(make_file_start(file=str(path)), WORLD)
+        assert "\n" not in str(error.value)
