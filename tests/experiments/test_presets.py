@@ -54,8 +54,8 @@ def test_presets_are_the_papers_experiments(name, learner):
 
 @pytest.mark.parametrize("learner", ["equivariant", "central"])
 def test_two_policies_stay_within_the_budget(learner):
-    stages = presets.LEARNERS[learner].base.ppo, presets.LEARNERS[learner].auxiliary.ppo
-    assert sum(ppo.updates * ppo.worlds * ppo.steps for ppo in stages) <= 4_000_000
+    stages = presets.LEARNERS[learner].base, presets.LEARNERS[learner].auxiliary
+    assert sum(stage.ppo.updates * stage.steps_per_update for stage in stages) <= 4_000_000
 
 
 def test_the_papers_learner_goes_the_papers_way():

@@ -1,4 +1,4 @@
-"""Algorithm 1 and Algorithm 2: base and auxiliary policies, the cascade that executes them, and what counts as valid."""
+"""Algorithms 1 and 2: base and auxiliary policies, the cascade that executes them, and what counts as valid."""
 
 from murmurate.discovery.algorithm import Discovery, Problem, Snapshot, policy_name
 from murmurate.discovery.cascade import Cascade, RestRule, Trajectories

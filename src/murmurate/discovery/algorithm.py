@@ -16,7 +16,17 @@ from murmurate.discovery.config import DiscoveryConfig, StageConfig
 from murmurate.discovery.validity import judge
 from murmurate.learning import Hyperparameters, Repeated, Shape, TrainState, init, train_chunk
 from murmurate.policies import PolicyConfig, Sizes, make_networks
-from murmurate.world import Anywhere, Layouts, Mixture, Start, StartConfig, WeightsConfig, World, WorldConfig, make_start
+from murmurate.world import (
+    Anywhere,
+    Layouts,
+    Mixture,
+    Start,
+    StartConfig,
+    WeightsConfig,
+    World,
+    WorldConfig,
+    make_start,
+)
 
 __all__ = ["Discovery", "Problem", "Snapshot", "policy_name"]
 
@@ -181,7 +191,7 @@ class Discovery:
         return jnp.moveaxis(_sample(start, self._draw(0, "initial"), size), -1, 0)
 
     def _training_world(self, index: int, snapshot: Snapshot) -> World:
-        """The world that a policy is trained in. Base and auxiliary differ in numbers only, so one compilation serves."""
+        """The world that a policy trains in: base and auxiliary differ in numbers only, so one compilation serves."""
         stage, sizes = self.problem.stage(index), self.problem.world
         place = {"half_width": sizes.half_width, "half_height": sizes.half_height, "radius": sizes.radius}
         noise = (self.problem.start.noise if index == 0 else stage.noise) * sizes.radius
@@ -244,5 +254,3 @@ def _rows(metrics: dict[str, Any], index: int, done: int, stage: StageConfig) ->
         steps = (done + i + 1) * stage.steps_per_update
         rows.append({"policy": index, "name": policy_name(index), "update": done + i + 1, "policy_steps": steps, **row})
     return rows
-
-

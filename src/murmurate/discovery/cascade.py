@@ -1,4 +1,4 @@
-"""The policy list as it is executed: each policy acts until the swarm comes to rest, then the next; then all hold still."""
+"""The policy list as it is executed: each acts until the swarm is at rest, then the next; then all hold still."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ class RestRule:
     """
 
     window: int = 5
-    tolerance: float = 5e-4
-    switch_tolerance: float = 1e-3
+    tolerance: float = 3e-4
+    switch_tolerance: float = 1.5e-3
     max_steps: int = 300
 
     def __post_init__(self) -> None:
@@ -108,7 +108,10 @@ class Cascade(eqx.Module):
             What happened, until the last episode ended.
         """
         status = _begin(self, jnp.moveaxis(jnp.asarray(starts, jnp.float32), 0, -1))
-        first = (status.state.positions[None], jax.tree.map(lambda s: s[None], self.world.signals(status.state.positions)))
+        first = (
+            status.state.positions[None],
+            jax.tree.map(lambda s: s[None], self.world.signals(status.state.positions)),
+        )
         parts = [jax.device_get(first)]
         while bool(jnp.any(status.active())):
             status, part = _advance(self, status)
@@ -172,5 +175,3 @@ def _step(cascade: Cascade, status: _Status) -> tuple[_Status, tuple[Array, dict
         terminated=terminated,
     )
     return status, (after.positions, transition.signals)
-
-

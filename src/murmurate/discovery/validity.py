@@ -64,9 +64,7 @@ def _collision_free(positions: Float[np.ndarray, "episodes time robots 2"], worl
     return free
 
 
-def bound_steps(
-    start: Float[np.ndarray, "robots 2"], final: Float[np.ndarray, "robots 2"], max_speed: float
-) -> float:
+def bound_steps(start: Float[np.ndarray, "robots 2"], final: Float[np.ndarray, "robots 2"], max_speed: float) -> float:
     """The kinematic bound: the fewest steps in which any controller gets from a start to a pattern.
 
     Robots are interchangeable and each velocity component is bounded, so it is the bottleneck assignment of the

@@ -7,7 +7,16 @@ Example:
     array([False,  True, False])
 """
 
-from murmurate.geometry.contact import clearances, closest_approach, collides, contacts, distances, leaves, outside, touches
+from murmurate.geometry.contact import (
+    clearances,
+    closest_approach,
+    collides,
+    contacts,
+    distances,
+    leaves,
+    outside,
+    touches,
+)
 from murmurate.geometry.visibility import Counts, counts, hides, neighbors, neighbors_and_visible, occluded, visible
 
 __all__ = [

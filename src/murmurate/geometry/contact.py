@@ -94,9 +94,7 @@ def outside(
     return ~((x <= half_width) & (y <= half_height))
 
 
-def leaves(
-    positions: Float[Array, "robots 2 *batch"], half_width: float, half_height: float
-) -> Bool[Array, "*batch"]:
+def leaves(positions: Float[Array, "robots 2 *batch"], half_width: float, half_height: float) -> Bool[Array, "*batch"]:
     """Says whether any robot is outside the world."""
     gone = outside(positions, half_width, half_height)
     return gone.__array_namespace__().any(gone, axis=0)

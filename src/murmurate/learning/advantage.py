@@ -39,13 +39,11 @@ def generalized_advantage(
     return _backward_sum(delta, carry_on, delta[0] * 0)
 
 
-def rewards_to_go(
-    reward: Trajectories, next_value: Trajectories, terminated: Flags, truncated: Flags
-) -> Trajectories:
+def rewards_to_go(reward: Trajectories, next_value: Trajectories, terminated: Flags, truncated: Flags) -> Trajectories:
     """Sums the rewards from each step to its episode's end, undiscounted (paper, Algorithm 1, line 5).
 
-    Where the trajectory is cut off, by a time limit or by the end of the batch, the value of what would have followed is
-    added; without it the target would depend on where the cut happens to fall.
+    Where the trajectory is cut off, by a time limit or by the end of the batch, the value of what would have followed
+    is added; without it the target would depend on where the cut happens to fall.
     """
     cut = truncated.at[-1].set(True) & ~terminated
     carry_on = (~(terminated | cut)).astype(reward.dtype)

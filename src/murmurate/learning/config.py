@@ -63,7 +63,9 @@ class PPOConfig:
             if getattr(self, name) < 1:
                 raise InputError(name, getattr(self, name), "an integer >= 1")
         if (self.worlds * self.steps) % self.minibatches:
-            raise InputError("minibatches", self.minibatches, f"a divisor of worlds * steps = {self.worlds * self.steps}")
+            raise InputError(
+                "minibatches", self.minibatches, f"a divisor of worlds * steps = {self.worlds * self.steps}"
+            )
         for name in ("discount", "gae_lambda"):
             if not 0 <= getattr(self, name) <= 1:
                 raise InputError(name, getattr(self, name), "a number from 0 to 1")

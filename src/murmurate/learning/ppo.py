@@ -114,7 +114,9 @@ def _descend(network: Any, moments: Any, gradient: Any, rate: Any, max_gradient:
     return eqx.apply_updates(network, jax.tree.map(lambda d: -rate * d, direction)), moments
 
 
-def _improve(state: TrainState, batch: Batch, hyper: Hyperparameters, progress: Any) -> tuple[TrainState, dict[str, Any]]:
+def _improve(
+    state: TrainState, batch: Batch, hyper: Hyperparameters, progress: Any
+) -> tuple[TrainState, dict[str, Any]]:
     """One minibatch: a step of each network."""
     rates = hyper.policy_rate(progress), hyper.value_rate(progress)
     (loss, report), gradient = eqx.filter_value_and_grad(policy_loss, has_aux=True)(
@@ -131,7 +133,9 @@ def _improve(state: TrainState, batch: Batch, hyper: Hyperparameters, progress: 
     return state, {"policy_loss": loss, "value_loss": error, **report}
 
 
-def _update(state: TrainState, env: Environment, hyper: Hyperparameters, shape: Shape) -> tuple[TrainState, dict[str, Any]]:
+def _update(
+    state: TrainState, env: Environment, hyper: Hyperparameters, shape: Shape
+) -> tuple[TrainState, dict[str, Any]]:
     """Collects one batch of trajectories and learns from it (one turn of Algorithm 1's loop)."""
     key, act, shuffle = jax.random.split(jax.random.wrap_key_data(state.key), 3)
     progress = state.update / jnp.maximum(hyper.updates - 1, 1)

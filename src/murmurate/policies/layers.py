@@ -53,9 +53,7 @@ class Tanh(eqx.Module):
     def __init__(self, features: int, widths: tuple[int, ...], key: PRNGKeyArray) -> None:
         keys = jax.random.split(key, max(len(widths), 1))
         sizes = (features, *widths)
-        self.layers = tuple(
-            Dense(i, o, k, gain=5 / 3) for i, o, k in zip(sizes[:-1], sizes[1:], keys, strict=False)
-        )
+        self.layers = tuple(Dense(i, o, k, gain=5 / 3) for i, o, k in zip(sizes[:-1], sizes[1:], keys, strict=False))
 
     def __call__(self, x: Any) -> Any:
         """Applies every layer in turn."""

@@ -27,7 +27,17 @@ from murmurate.geometry import clearances
 from murmurate.geometry.visibility import fold
 from murmurate.world.config import WorldConfig
 
-__all__ = ["Anywhere", "Layouts", "Mixture", "Start", "StartConfig", "check_configurations", "layout", "make_start", "read_starts"]
+__all__ = [
+    "Anywhere",
+    "Layouts",
+    "Mixture",
+    "Start",
+    "StartConfig",
+    "check_configurations",
+    "layout",
+    "make_start",
+    "read_starts",
+]
 
 ROUNDS = 500
 """Redraws after which a request is called impossible when a start is built."""

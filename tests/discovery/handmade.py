@@ -1,0 +1,40 @@
+"""Policies made by hand: what a cascade does with them can be counted on one's fingers."""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+
+class Approach(eqx.Module):
+    """Robots on the x axis go towards 0 at `speed` until `stop`; with `shakes`, to and fro around |x| = 8 for ever."""
+
+    speed: jax.Array
+    stop: jax.Array
+    shakes: jax.Array
+
+    def __call__(self, positions):
+        x = positions[:, 0]
+        inwards = jnp.where(jnp.abs(x) > self.stop, -self.speed, 0.0)
+        to_and_fro = jnp.where(jnp.abs(x) > 8, -self.speed, self.speed)
+        outwards = jnp.where(self.shakes, to_and_fro, inwards)
+        return jnp.stack([jnp.sign(x) * outwards, jnp.zeros_like(x)], axis=1)
+
+
+def approach(stop, speed=1.0):
+    return Approach(jnp.asarray(speed), jnp.asarray(float(stop)), jnp.asarray(False))
+
+
+def shake():
+    return Approach(jnp.asarray(1.0), jnp.asarray(0.0), jnp.asarray(True))
+
+
+class Implode(eqx.Module):
+    """All robots rush to the origin: always, or only where robot 1 is on the right, or (None) never."""
+
+    always: bool | None = eqx.field(static=True)
+
+    def __call__(self, positions):
+        told = positions[1, 0] > 0 if self.always is False else bool(self.always)
+        return jnp.where(told, -10 * positions, 0.0)

@@ -1,0 +1,139 @@
+"""The rest rule, with policies whose steps can be counted."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from handmade import approach, shake
+
+from murmurate.discovery import Cascade, RestRule
+from murmurate.errors import InputError
+from murmurate.world import Layouts, World, WorldConfig
+from oracles import signals as oracle
+
+CONFIG = WorldConfig(robots=2, half_width=20.0, half_height=20.0, scan_radius=100.0, safe_distance=5.0)
+WINDOW = 4
+RULE = RestRule(window=WINDOW, tolerance=1e-4, switch_tolerance=1e-3, max_steps=30)
+
+
+def world():
+    sizes = {"half_width": CONFIG.half_width, "half_height": CONFIG.half_height, "radius": CONFIG.radius}
+    start = Layouts(jnp.zeros((1, 2, 2)), 0.0, **sizes)
+    return jax.tree.map(jnp.asarray, World.create(CONFIG, start, "C2", horizon=3))
+
+
+def run(policies, *distances, rule=RULE):
+    """Runs a cascade from two robots at x and -x, one episode for each x; the world's horizon is 3."""
+    assert len(distances) == 4, "one size, one compilation"
+    starts = np.array([[[x, 0.0], [-x, 0.0]] for x in distances])
+    return Cascade(tuple(policies), world(), rule).rollout(starts)
+
+
+def assert_holds_still(ran):
+    for positions, length in zip(ran.positions, ran.lengths, strict=True):
+        np.testing.assert_array_equal(positions[length:], np.broadcast_to(positions[length], positions[length:].shape))
+
+
+def test_a_policy_rests_a_window_after_its_last_move():
+    ran = run([approach(5)], 5, 6, 10, 18)
+    np.testing.assert_array_equal(ran.lengths, np.array([0, 1, 5, 13]) + WINDOW)
+    assert ran.at_rest.all()
+    assert not ran.terminated.any()
+    assert ran.switch.shape == (4, 0)
+    assert ran.positions.shape == (4, 13 + WINDOW + 1, 2, 2)
+    np.testing.assert_array_equal(ran.final, np.tile([[5.0, 0.0], [-5.0, 0.0]], (4, 1, 1)))
+    assert_holds_still(ran)
+
+
+def test_the_next_policy_takes_over_at_rest():
+    ran = run([approach(8), approach(4)], 10, 8, 5, 4)
+    np.testing.assert_array_equal(ran.switch[:, 0], np.array([2, 0, 0, 0]) + WINDOW)
+    np.testing.assert_array_equal(ran.lengths, np.array([2 + 4, 4, 1, 0]) + 2 * WINDOW)
+    np.testing.assert_array_equal(ran.positions[0, ran.switch[0, 0], :, 0], [8, -8])
+    np.testing.assert_array_equal(ran.final[..., 0], np.tile([4.0, -4.0], (4, 1)))
+    assert ran.at_rest.all()
+    assert_holds_still(ran)
+
+
+def test_a_restless_policy_is_cut_off_and_the_next_takes_over():
+    ran = run([shake(), approach(4)], 8.5, 7.5, 8.5, 7.5)
+    np.testing.assert_array_equal(ran.switch[:, 0], 30)
+    np.testing.assert_array_equal(ran.lengths, 30 + np.array([5, 4, 5, 4]) + WINDOW)
+    assert ran.at_rest.all()
+    assert_holds_still(ran)
+
+
+def test_a_cascade_that_is_cut_off_is_not_at_rest():
+    ran = run([approach(8), shake()], 10, 8, 9, 5)
+    np.testing.assert_array_equal(ran.switch[:, 0], np.array([2, 0, 1, 0]) + WINDOW)
+    np.testing.assert_array_equal(ran.lengths, ran.switch[:, 0] + 30)
+    assert not ran.at_rest.any()
+    assert not ran.terminated.any()
+
+
+def test_a_long_episode_goes_on_from_look_to_look():
+    """The host looks every 50 steps whether all is over; nothing may happen at the seam."""
+    ran = run([shake(), shake()], 8.5, 8.5, 7.5, 6.0, rule=dataclasses.replace(RULE, max_steps=60))
+    np.testing.assert_array_equal(ran.lengths, 120)
+    np.testing.assert_array_equal(ran.switch, np.full((4, 1), 60))
+    np.testing.assert_array_equal(ran.positions[0, :, 0, 0], 8.5 - np.arange(121) % 2)
+
+
+def test_a_collision_ends_the_episode_and_no_policy_follows():
+    ran = run([approach(0.5), approach(4)], 10, 1.5, 5.5, 3)
+    np.testing.assert_array_equal(ran.lengths, [9, 1, 5, 2])
+    np.testing.assert_array_equal(ran.switch[:, 0], ran.lengths, err_msg="where it never took over")
+    assert ran.terminated.all()
+    assert not ran.at_rest.any()
+    assert_holds_still(ran)
+
+
+def test_a_collision_of_the_last_policy_is_no_rest():
+    ran = run([approach(8), approach(0.5)], 10, 19, 8, 9)
+    np.testing.assert_array_equal(ran.switch[:, 0], np.array([2, 11, 0, 1]) + WINDOW)
+    np.testing.assert_array_equal(ran.lengths, ran.switch[:, 0] + 7)
+    assert ran.terminated.all()
+    assert not ran.at_rest.any()
+
+
+def test_a_policy_that_is_followed_need_not_settle_as_the_last_one_must():
+    """A creep that changes the objective by 5e-4 a step is rest for the first policy only."""
+    creep = approach(0, speed=5e-4 * 20 * 2**0.5)
+    ran = run([creep, creep], 10, 9, 8, 7)
+    np.testing.assert_array_equal(ran.switch, np.full((4, 1), WINDOW))
+    np.testing.assert_array_equal(ran.lengths, WINDOW + 30)
+    assert not ran.at_rest.any()
+
+
+def test_the_window_is_the_rules():
+    ran = run([approach(5)], 10, 5, 6, 19, rule=dataclasses.replace(RULE, window=1))
+    np.testing.assert_array_equal(ran.lengths, np.array([5, 0, 1, 14]) + 1)
+
+
+def test_signals_are_those_of_the_recorded_positions():
+    ran = run([approach(8), approach(2)], 10, 3, 8, 5)
+    assert set(ran.signals) == {"nclose", "safety", "neighbors", "visible"}
+    for episode in range(4):
+        for step, positions in enumerate(ran.positions[episode].astype(float)):
+            expected = oracle.signals(positions, "nclose", 20.0, 20.0, 1.0, 100.0, 5.0, "penalty")
+            for name, value in expected.items():
+                np.testing.assert_allclose(ran.signals[name][episode, step], value, atol=1e-5, err_msg=name)
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"window": 0},
+        {"tolerance": 0.0},
+        {"tolerance": float("nan")},
+        {"switch_tolerance": float("inf")},
+        {"max_steps": 0},
+    ],
+)
+def test_no_such_rule(fields):
+    with pytest.raises(InputError, match=f"^{next(iter(fields))} = "):
+        RestRule(**fields)

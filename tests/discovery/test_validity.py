@@ -1,0 +1,110 @@
+"""Valid patterns and the kinematic bound, on configurations made by hand."""
+
+from __future__ import annotations
+
+from itertools import permutations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from murmurate.discovery import Trajectories, bound_steps, judge
+from murmurate.world import WorldConfig
+
+WORLD = WorldConfig(robots=6, half_width=35.0, half_height=35.0, scan_radius=30.0, safe_distance=5.0)
+FLAGS = ("collision_free", "mutually_visible", "gathered", "safe", "at_rest")
+
+
+def ring(radius=8.0, angles=tuple(range(0, 360, 60))):
+    angle = np.deg2rad(angles)
+    return radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+
+
+def with_robot(number, place, configuration=None):
+    configuration = (ring() if configuration is None else configuration).copy()
+    configuration[number] = place
+    return configuration
+
+
+def verdict(*configurations, at_rest=True):
+    """Judges one episode that goes through the given configurations."""
+    positions = np.stack(configurations).astype(np.float32)[None]
+    steps = np.array([len(configurations) - 1])
+    none = np.zeros((1, 0), int)
+    return judge(Trajectories(positions, steps, none, np.array([at_rest]), np.array([False]), {}), WORLD)
+
+
+def assert_fails(judged, *failing):
+    assert {flag for flag in FLAGS if not getattr(judged, flag)[0]} == set(failing)
+    assert judged.valid[0] == (not failing)
+
+
+def test_a_ring_is_valid():
+    assert_fails(verdict(1.1 * ring(), ring(), ring()))
+
+
+def test_one_pair_too_near():
+    assert_fails(verdict(ring(angles=(0, 28.9, 120, 180, 240, 300))), "safe")
+    assert_fails(verdict(ring(angles=(0, 36.5, 120, 180, 240, 300))))
+
+
+def test_one_robot_in_the_way():
+    """From the middle of a ring, one robot hides the two pairs that are left opposite each other."""
+    assert_fails(verdict(with_robot(0, (0, 0))), "mutually_visible")
+
+
+def test_one_robot_out_of_reach():
+    assert_fails(verdict(ring(radius=15.1)), "gathered", "mutually_visible")
+    assert_fails(verdict(ring(radius=14.9)))
+
+
+def test_not_at_rest():
+    assert_fails(verdict(ring(), at_rest=False), "at_rest")
+
+
+def test_two_robots_swap_through_each_other():
+    """Both end points are the same valid ring."""
+    assert_fails(verdict(ring(), ring()[[3, 1, 2, 0, 4, 5]]), "collision_free")
+    assert_fails(verdict(ring(), ring()[[3, 1, 2, 0, 4, 5]], ring()), "collision_free")
+
+
+def test_a_robot_was_outside_for_a_moment():
+    assert_fails(verdict(ring(), with_robot(0, (35.5, 0)), ring()), "collision_free")
+    assert_fails(verdict(ring(), with_robot(0, (35.0, 0)), ring()))
+
+
+def test_two_robots_touched_on_the_way():
+    assert_fails(verdict(ring(), with_robot(0, (6.0, 0), with_robot(1, (6.0, 2.0))), ring()), "collision_free")
+    assert_fails(verdict(ring(), with_robot(0, (6.0, 0), with_robot(1, (6.0, 2.1))), ring()))
+
+
+def test_every_episode_is_judged_for_itself():
+    finals = [ring(), with_robot(0, (0, 0)), ring(radius=15.1), ring(angles=(0, 28.9, 120, 180, 240, 300)), ring()]
+    positions = np.stack(finals)[:, None].astype(np.float32)
+    rest = np.array([True, True, True, True, False])
+    judged = judge(Trajectories(positions, np.zeros(5, int), np.zeros((5, 0), int), rest, np.zeros(5, bool), {}), WORLD)
+    np.testing.assert_array_equal(judged.valid, [True, False, False, False, False])
+    np.testing.assert_array_equal(judged.mutually_visible, [True, False, False, True, True])
+    np.testing.assert_array_equal(judged.gathered, [True, True, False, True, True])
+    np.testing.assert_array_equal(judged.safe, [True, True, True, False, True])
+    np.testing.assert_array_equal(judged.at_rest, rest)
+    assert judged.collision_free.all()
+
+
+@given(seed=st.integers(0, 2**32 - 1), robots=st.integers(2, 6), whole=st.booleans())
+@settings(max_examples=60)
+def test_the_bound_is_the_best_of_all_assignments(seed, robots, whole):
+    rng = np.random.default_rng(seed)
+    start, final = rng.uniform(-10, 10, (2, robots, 2))
+    if whole:  # many distances are then equal
+        start, final = start.round(), final.round()
+    bound = min(np.abs(start - final[list(order)]).max() for order in permutations(range(robots))) / 0.4
+    np.testing.assert_allclose(bound_steps(start, final, 0.4), bound, rtol=1e-12)
+
+
+@pytest.mark.parametrize("robots", [2, 10, 40])
+def test_a_pattern_reached_by_relabelling_needs_no_step(robots):
+    start = np.random.default_rng(0).uniform(-40, 40, (robots, 2))
+    assert bound_steps(start, start[::-1], 1.0) == 0
+    np.testing.assert_allclose(bound_steps(start, start[::-1] + np.array([3.0, -7.0]), 0.5), 14, rtol=1e-12)
