@@ -26,5 +26,12 @@ lint: $(VENV)/.installed
 	$(BIN)/lint-imports
 	$(BIN)/pyright
 
+benchmark: $(VENV)/.installed  ## world and training speed beside JaxMARL's; writes docs/benchmarks.md
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[benchmark]'
+	$(BIN)/python -m benchmarks --out docs/benchmarks.md
+
+results: $(VENV)/.installed  ## trains A-F with both policies and three seeds (hours); writes docs/results.md
+	$(BIN)/python -m benchmarks.results
+
 clean:
 	rm -rf $(VENV) build *.egg-info

@@ -5,7 +5,7 @@ from __future__ import annotations
 from murmurate.experiments import fields, presets
 from murmurate.experiments.config import ExperimentConfig
 
-_STAGE = {"horizon": 8, "ppo": {"updates": 4, "worlds": 8, "steps": 4, "minibatches": 2, "epochs": 1}}
+_STAGE = {"horizon": 8, "repeat": 1, "ppo": {"updates": 4, "worlds": 8, "steps": 4, "minibatches": 2, "epochs": 1}}
 
 TINY = {
     "name": "tiny",
@@ -22,7 +22,7 @@ TINY = {
     "base": _STAGE,
     "auxiliary": _STAGE,
     "discovery": {"sigma": 8, "episodes": 8, "chunk": 2, "max_policies": 2},
-    "rest": {"max_steps": 20},
+    "rest": {"max_steps": 20, "tolerance": 0.05},  # whatever was learned, it comes to rest at once
 }
 
 

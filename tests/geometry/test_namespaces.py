@@ -25,6 +25,10 @@ KERNELS = {
     "clearances": lambda p: geometry.clearances(p, RADIUS),
     "closest_approach": lambda p: geometry.closest_approach(p, p),
     "collides": lambda p: geometry.collides(p, p, RADIUS),
+    "hides": lambda p: geometry.hides(p, RADIUS, SCAN),
+    "contacts": lambda p: geometry.contacts(p, p, RADIUS),
+    "touches": lambda p: geometry.touches(p, p, RADIUS),
+    "outside": lambda p: geometry.outside(p, 4.0, 4.0),
     "leaves": lambda p: geometry.leaves(p, 4.0, 4.0),
 }
 every_kernel = pytest.mark.parametrize("kernel", KERNELS.values(), ids=KERNELS)

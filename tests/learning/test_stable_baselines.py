@@ -43,6 +43,7 @@ NUMBERS = PPOConfig(
     value_rate=1e-3,
     value_rate_end=1e-3,
     reward_scale=1.0,
+    max_gradient=100.0,
 )
 
 
@@ -137,7 +138,7 @@ def ours(seed):
         if check > done:
             hyper, shape = Hyperparameters.create(NUMBERS), Shape.create(NUMBERS)
             state, _ = train_chunk(state, env, hyper, shape, check - done)
-        mean, done = jax.jit(state.policy.mean), check
+        mean, done = eqx.filter_jit(state.policy.mean), check
         returns.append(mean_return(lambda place, mean=mean: np.asarray(mean(place[None]))))
     return returns
 
