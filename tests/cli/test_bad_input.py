@@ -70,7 +70,6 @@ def contents(folder):
         ("evaluate none --episodes 0", "episodes = 0: must be an integer >= 1 and <= 10000"),
         ("evaluate none --episodes many", "argument --episodes: invalid int value: 'many'"),
         ("evaluate none --seed -1", "seed = -1: must be an integer from 0 to"),
-        ("evaluate none --starts x.csv --seed 1", "--starts takes every start of its file"),
         ("show none", "none holds no run"),
         ("show none none", "of several runs, only the patterns are drawn"),
         ("table none", "none holds no run"),
@@ -121,6 +120,12 @@ def test_bad_files_of_starts(refused, discovered, tmp_path, text, line):
     before = contents(discovered)
     assert line in refused("evaluate", discovered, "--starts", "mine.csv", files=1)
     assert contents(discovered) == before
+
+
+def test_more_episodes_than_a_file_of_starts_has(refused, discovered, tmp_path):
+    (tmp_path / "mine.csv").write_text(START)
+    line = refused("evaluate", discovered, "--starts", "mine.csv", "--episodes", "2", files=1)
+    assert "--episodes = 2: must be at most the 1 starts of mine.csv" in line
 
 
 def test_a_file_of_starts_that_is_missing_or_no_text(refused, discovered, tmp_path):

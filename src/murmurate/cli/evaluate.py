@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from murmurate.cli.arguments import Parser
-from murmurate.errors import UsageError
+from murmurate.errors import InputError
 
 __all__ = ["run"]
 
@@ -15,13 +15,12 @@ def run(argv: Sequence[str]) -> int:
     """Runs the verb; returns 0."""
     parser = Parser("evaluate", "RUN", "Executes the cascade of a run from fresh starts, or from a file of starts.")
     parser.add_argument("run", metavar="RUN", help="folder of a finished run")
-    parser.add_argument("--episodes", type=int, metavar="INT", help="fresh starts to draw (default: 200)")
+    many = "fresh starts to draw (default: 200), or how many to take of --starts (default: all)"
+    parser.add_argument("--episodes", type=int, metavar="INT", help=many)
     parser.add_argument("--seed", type=int, metavar="INT", help="their seed (default: 0)")
     parser.add_argument("--starts", metavar="FILE.csv", help="start,x,y: one row a robot, every start in file order")
     parser.add_argument("--out", metavar="DIR", help="leave RUN as it is, and write a copy with the new evaluation")
     options, _ = parser.parse(argv)
-    if options.starts is not None and (options.episodes is not None or options.seed is not None):
-        raise UsageError("--starts takes every start of its file: leave out --episodes and --seed")
     return _evaluate(Path(options.run), options.episodes, options.seed, options.starts, options.out)
 
 
@@ -31,15 +30,18 @@ def _evaluate(folder: Path, episodes: int | None, seed: int | None, starts: str 
     from murmurate.experiments.run import Run, check_draw
     from murmurate.world import check_configurations, read_starts
 
-    episodes = evaluation.EPISODES if episodes is None else episodes
+    count = evaluation.EPISODES if episodes is None else episodes
     seed = evaluation.SEED if seed is None else seed
-    check_draw(episodes, seed)
+    check_draw(count, seed)
     opened = Run.open(folder)
     world, points = opened.experiment.world, None
     if starts is not None:
         points = read_starts(starts, world.robots)
         check_configurations(points, world, starts)
-    result = evaluation.evaluate(opened, episodes, seed, points, Path(starts or "").name)
+        if (episodes or 0) > len(points):
+            raise InputError("--episodes", episodes, f"at most the {len(points)} starts of {starts}")
+        points = points[:episodes]
+    result = evaluation.evaluate(opened, count, seed, points, Path(starts or "").name)
     folder = folder if out is None else opened.copy(out)
     result.save(folder)
     summary = tables.read_evaluation(folder)
