@@ -43,7 +43,6 @@ NUMBERS = PPOConfig(
     value_rate=1e-3,
     value_rate_end=1e-3,
     reward_scale=1.0,
-    max_gradient=100.0,
 )
 
 

@@ -38,8 +38,8 @@ class Learner:
     rest: RestRule = field(default_factory=RestRule)
 
 
-# Each action is kept up for some steps while learning: exploration then moves robots instead of jittering them, which
-# found more patterns than any other single change (docs/results.md).
+# Each action is kept up for some steps while learning: exploration then moves robots instead of jittering them, without
+# which most searches end with a robot stuck inside the ring (try --base.repeat 1 --auxiliary.repeat 1).
 _EQUIVARIANT = Learner(
     policy=PolicyConfig(kind="equivariant", hidden=(32, 16)),
     base=StageConfig(
