@@ -25,7 +25,7 @@ class StageConfig:
         noise: Half-width of the uniform noise on each restart configuration, in robot radii (auxiliary only).
         random_share: Share of training episodes that begin anywhere in the world instead of at the start (base only).
         random_spread: Such an episode's robots lie within a window of at least this share of the world's sides.
-        warm_start: Whether the networks begin as those of the policy before (auxiliary only).
+        warm_start: Whether the policy begins with the weights of the one before (auxiliary only); its value is new.
     """
 
     weights: WeightsConfig = field(default_factory=WeightsConfig)
