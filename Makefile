@@ -14,8 +14,8 @@ $(VENV)/.installed: pyproject.toml constraints.txt
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
 	touch $@
 
-discover: $(VENV)/.installed  ## train, evaluate and draw one experiment (EXPERIMENT=C SEED=0 OUT=runs/...)
-	$(BIN)/murmurate discover $(EXPERIMENT) --seed $(SEED) --out $(OUT)
+discover: $(VENV)/.installed  ## train (or go on), evaluate and draw one experiment (EXPERIMENT=C SEED=0 OUT=runs/...)
+	$(BIN)/murmurate discover $(EXPERIMENT) --seed $(SEED) --out $(OUT) --resume
 
 test: lint  ## style, types, layers and all tests
 	$(BIN)/pytest -n 2
