@@ -89,7 +89,8 @@ def machine(run: Path) -> str:
 PAGE = """# Results
 
 Made by {commands}, which trains experiments A-F with both policies and seeds 0, 1, 2 (what is finished is reused)
-and writes this page. Versions: {machine}.
+and writes this page. A row that is not there has not
+been trained yet. Versions: {machine}.
 
 Every row is one training with the default settings, evaluated greedily on 200 fresh starts with the paper's noise
 U(-2R, 2R), none of them seen in training. *Valid* needs all of: no contact at any moment of any step, nobody
