@@ -174,7 +174,9 @@ def test_a_template_has_the_structure_of_what_it_is_for(unbroken):
 
 
 def test_an_auxiliary_may_begin_with_the_weights_before(unbroken):
-    warm = Judged(replace(PROBLEM, auxiliary=replace(AUXILIARY, warm_start=True, log_std=-2.0)))
+    warm = Judged(
+        replace(PROBLEM, auxiliary=replace(AUXILIARY, warm_start=True, ppo=replace(AUXILIARY.ppo, log_std=-2.0)))
+    )
     begun, before = warm.template(unbroken[0][2]).policy, unbroken[0][2].policies[-1]
     assert same((begun.body, begun.head), (before.body, before.head))
     np.testing.assert_array_equal(begun.log_std, -2.0)
@@ -193,7 +195,8 @@ def test_the_list_is_complete_when_patterns_are_valid(least, share, policies):
 
 def test_nothing_follows_when_every_episode_ends_in_a_collision():
     """Sigma is empty: the search ends without a valid pattern, and says so."""
-    discovery = Doomed(PROBLEM)
+    # From anywhere, a tight swarm may drift towards the origin without a change of its objective: that is rest.
+    discovery = Doomed(replace(PROBLEM, base=replace(BASE, random_share=0.0)))
     ended = finish(discovery, discovery.begin())
     assert ended.finished
     assert len(ended.policies) == 1
@@ -251,7 +254,6 @@ def test_without_a_random_share_a_crowd_may_begin_as_it_is(tmp_path):
         {"horizon": 0},
         {"noise": -1.0},
         {"noise": float("inf")},
-        {"log_std": float("nan")},
         {"random_share": 1.5},
         {"random_spread": 0.0},
     ],

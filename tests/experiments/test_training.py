@@ -15,7 +15,7 @@ import pytest
 from murmurate import view
 from murmurate.discovery import Discovery
 from murmurate.errors import InputError, RunError
-from murmurate.experiments import checkpoint, config, evaluation, storage, training
+from murmurate.experiments import checkpoint, config, evaluation, storage, training, trees
 from murmurate.experiments.run import METRICS
 from tiny import tiny, write_toml
 
@@ -186,7 +186,7 @@ def test_a_damaged_checkpoint_is_one_line(tmp_path):
     path.write_bytes(path.read_bytes()[:-10])
     with pytest.raises(RunError, match=r"snapshot\.safetensors is not a valid"):
         training.discover(tiny(), folder, resume=True)
-    storage.save_tree(path, {}, {"policies": 0})
+    trees.save(path, {}, {"policies": 0})
     with pytest.raises(RunError, match="not a checkpoint of this version"):
         training.discover(tiny(), folder, resume=True)
 

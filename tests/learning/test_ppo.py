@@ -163,9 +163,24 @@ def test_a_point_on_a_line_learns_to_go_home():
     assert state.policy.slope < -1
 
 
+def test_a_scheduled_spread_is_that_of_its_schedule_and_a_learned_one_is_not():
+    numbers = {"updates": 3, "log_std": -1.0, "log_std_end": -2.0}
+    state, spreads = start(), []
+    for _ in range(3):
+        state, _ = train(state, LINE, 1, exploration="scheduled", **numbers)
+        spreads.append(float(state.policy.log_std))
+    assert spreads == [-1.0, -1.5, -2.0]
+    assert moved(start().policy.slope, state.policy.slope), "the rest of the policy learns"
+    learned, _ = train(start(), LINE, 3, **numbers)
+    assert float(learned.policy.log_std) not in spreads
+
+
 @pytest.mark.parametrize("value", [-1.0, float("nan"), float("inf")])
 @pytest.mark.parametrize("field", [f.name for f in dataclasses.fields(PPOConfig) if f.type == "float"])
 def test_numbers_are_checked(field, value):
+    if field.startswith("log_std") and value == -1.0:
+        assert getattr(PPOConfig(**{field: value}), field) == value
+        return
     with pytest.raises(InputError, match=f"^{field} = ") as error:
         PPOConfig(**{field: value})
     assert "\n" not in str(error.value)
@@ -177,7 +192,16 @@ def test_counts_are_checked(field):
         PPOConfig(**{field: 0})
 
 
-@pytest.mark.parametrize("fields", [{"minibatches": 7}, {"value_target": "td"}, {"discount": 1.5}, {"gae_lambda": 1.1}])
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"minibatches": 7},
+        {"value_target": "td"},
+        {"exploration": "none"},
+        {"discount": 1.5},
+        {"gae_lambda": 1.1},
+    ],
+)
 def test_no_such_learner(fields):
     with pytest.raises(InputError, match=f"^{next(iter(fields))} = "):
         PPOConfig(**fields)

@@ -21,14 +21,16 @@ def networks():
 
 
 @pytest.mark.parametrize("batch", [(), (2, 5)])
-def test_shapes(networks, batch):
-    policy, value = networks
+@pytest.mark.parametrize(("credit", "actions"), [("robots", 3), ("swarm", 1)])
+def test_shapes(credit, actions, batch):
+    config = PolicyConfig(kind="central", hidden=(8, 6), credit=credit)
+    policy, value = make_networks(config, SIZES, jax.random.key(0))
     positions = jax.random.normal(jax.random.key(1), (3, 2, *batch))
     distribution = policy.distribution(positions)
     assert policy(positions).shape == positions.shape
-    assert value(positions).shape == (1, *batch)
+    assert value(positions).shape == (actions, *batch)
     assert distribution.sample(jax.random.key(2)).shape == positions.shape
-    assert distribution.log_prob(positions).shape == (1, *batch)
+    assert distribution.log_prob(positions).shape == (actions, *batch)
     np.testing.assert_array_equal(distribution.mean, policy(positions))
 
 
@@ -64,7 +66,16 @@ def test_hidden_layers_have_the_configured_widths(networks):
 
 
 @pytest.mark.parametrize(
-    "fields", [{"kind": "attention"}, {"hidden": ()}, {"hidden": (8, 0)}, {"hidden": (-1,)}, {"basis": 1}]
+    "fields",
+    [
+        {"kind": "attention"},
+        {"hidden": ()},
+        {"hidden": (8, 0)},
+        {"hidden": (-1,)},
+        {"basis": 1},
+        {"credit": "team"},
+        {"credit": "swarm", "kind": "equivariant"},
+    ],
 )
 def test_no_such_policy(fields):
     with pytest.raises(InputError) as error:

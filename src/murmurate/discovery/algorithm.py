@@ -206,7 +206,7 @@ class Discovery:
             share,
         )
         weights: WeightsConfig = stage.weights
-        shared = self.problem.policy.kind == "equivariant"
+        shared = self.problem.policy.credit == "robots"
         return _with_array_leaves(World.create(sizes, start, self.problem.objective, weights, stage.horizon, shared))
 
     def _init(self, index: int, snapshot: Snapshot) -> TrainState:
@@ -214,7 +214,7 @@ class Discovery:
         stage = self.problem.stage(index)
         if index and stage.warm_start:
             policy = snapshot.policies[-1]
-        policy = eqx.tree_at(lambda p: p.log_std, policy, jnp.full_like(policy.log_std, stage.log_std))
+        policy = eqx.tree_at(lambda p: p.log_std, policy, jnp.full_like(policy.log_std, stage.ppo.log_std))
         worlds, clock = jax.random.split(self._draw(index, "worlds"))
         state = _reset(self._training_world(index, snapshot), worlds, stage.ppo.worlds)
         # Episodes that all began together would all end together, and every batch would hold one age only.

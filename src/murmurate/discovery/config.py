@@ -21,10 +21,9 @@ class StageConfig:
         ppo: Numbers of the learner; its discount is the paper's F_gamma at this policy.
         horizon: Steps after which a training episode is truncated.
         repeat: Steps for which each action is kept up while training; what is learned is executed step by step.
-        log_std: Natural logarithm of the exploration noise over the speed limit before training; then it is learned.
         noise: Half-width of the uniform noise on each restart configuration, in robot radii (auxiliary only).
         random_share: Share of training episodes that begin anywhere in the world instead of at the start (base only).
-        random_spread: Such an episode's robots lie within a window of at least this share of the world's sides.
+        random_spread: Such an episode's robots lie in two windows, each of at least this share of the world's sides.
         warm_start: Whether the policy begins with the weights of the one before (auxiliary only); its value is new.
     """
 
@@ -32,18 +31,15 @@ class StageConfig:
     ppo: PPOConfig = field(default_factory=PPOConfig)
     horizon: int = 120
     repeat: int = 1
-    log_std: float = -1.0
     noise: float = 0.25
     random_share: float = 0.5
-    random_spread: float = 0.2
+    random_spread: float = 0.05
     warm_start: bool = False
 
     def __post_init__(self) -> None:
         for name in ("horizon", "repeat"):
             if getattr(self, name) < 1:
                 raise InputError(name, getattr(self, name), "an integer >= 1")
-        if not math.isfinite(self.log_std):
-            raise InputError("log_std", self.log_std, "a finite number")
         if not (math.isfinite(self.noise) and self.noise >= 0):
             raise InputError("noise", self.noise, "a finite number >= 0")
         if not 0 <= self.random_share <= 1:

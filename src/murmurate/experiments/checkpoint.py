@@ -12,7 +12,7 @@ import jax.numpy as jnp
 
 from murmurate.discovery import Discovery, Snapshot
 from murmurate.errors import RunError
-from murmurate.experiments import storage
+from murmurate.experiments import storage, trees
 
 __all__ = ["Checkpoint", "load", "policy_templates", "remove", "save"]
 
@@ -53,7 +53,7 @@ def save(folder: str | Path, checkpoint: Checkpoint) -> None:
         "seconds": checkpoint.seconds,
     }
     storage.make_folder(Path(folder) / _FOLDER)
-    storage.save_tree(Path(folder) / _FOLDER / _FILE, tree, notes)
+    trees.save(Path(folder) / _FOLDER / _FILE, tree, notes)
 
 
 def load(folder: str | Path, discovery: Discovery) -> Checkpoint:
@@ -65,7 +65,7 @@ def load(folder: str | Path, discovery: Discovery) -> Checkpoint:
     path = Path(folder) / _FOLDER / _FILE
     if not path.exists():
         return Checkpoint(discovery.begin())
-    notes = storage.read_notes(path)
+    notes = trees.read_notes(path)
     try:
         policies = policy_templates(discovery, notes["policies"])
         sigma = jax.ShapeDtypeStruct((notes["sigma"], discovery.problem.world.robots, 2), jnp.float32)
@@ -76,7 +76,7 @@ def load(folder: str | Path, discovery: Discovery) -> Checkpoint:
         raise RunError(f"{path} is not a checkpoint of this version of murmurate: {error!r}") from None
     if training:
         template["train"] = eqx.filter_eval_shape(_training_state, discovery, policies, sigma)
-    tree = storage.load_tree(path, template)
+    tree = trees.load(path, template)
     snapshot = Snapshot(tree["policies"], tree["sigma"], valid, tree["train"], finished)
     return Checkpoint(snapshot, rows, seconds)
 

@@ -39,24 +39,25 @@ class Learner:
 
 
 # Each action is kept up for some steps while learning: exploration then moves robots instead of jittering them, without
-# which most searches end with a robot stuck inside the ring (try --base.repeat 1 --auxiliary.repeat 1).
+# which most searches end with a robot stuck inside the ring (try --base.repeat 1 --auxiliary.repeat 1). And exploration
+# fades: left to itself it stays, because noise frees a stuck robot, and the policy never learns to do so without it
+# (try --auxiliary.ppo.exploration learned).
 _EQUIVARIANT = Learner(
     policy=PolicyConfig(kind="equivariant", hidden=(32, 16)),
     base=StageConfig(
-        ppo=PPOConfig(updates=60, policy_rate=2e-3),
-        weights=WeightsConfig(visible=2.0),
+        ppo=PPOConfig(updates=60, policy_rate=2e-3, exploration="scheduled", log_std=-1.0, log_std_end=-2.5),
+        weights=WeightsConfig(gathering=3.0, visible=2.0),
         horizon=160,
         repeat=4,
     ),
     auxiliary=StageConfig(
-        ppo=PPOConfig(updates=80),
-        weights=WeightsConfig(gathering=1.0, safety=2.0, neighbors=2.0, visible=4.0),
+        ppo=PPOConfig(updates=60, exploration="scheduled", log_std=-0.7, log_std_end=-3.5),
+        weights=WeightsConfig(gathering=2.0, safety=3.0, neighbors=2.0, visible=4.0),
         horizon=120,
         repeat=2,
-        log_std=-1.5,
         warm_start=True,
     ),
-    discovery=DiscoveryConfig(max_policies=2),
+    discovery=DiscoveryConfig(),
 )
 
 _CENTRAL = Learner(
@@ -92,7 +93,7 @@ _PAPER_PPO: dict[str, Any] = {
     "reward_scale": 1.0,
 }
 _PAPER = Learner(
-    policy=PolicyConfig(kind="central", hidden=(400, 300, 300)),
+    policy=PolicyConfig(kind="central", hidden=(400, 300, 300), credit="swarm"),
     base=StageConfig(ppo=PPOConfig(**_PAPER_PPO, discount=0.95, gae_lambda=0.95), horizon=800, random_share=0.0),
     auxiliary=StageConfig(ppo=PPOConfig(**_PAPER_PPO, discount=0.85, gae_lambda=0.99), horizon=400, noise=0.0),
     discovery=DiscoveryConfig(max_policies=2),

@@ -15,7 +15,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from murmurate.discovery import Cascade, Discovery, Trajectories, policy_name
 from murmurate.errors import InputError, RunError, check_number
 from murmurate.experiments import config as configuration
-from murmurate.experiments import storage
+from murmurate.experiments import storage, trees
 from murmurate.experiments.checkpoint import policy_templates
 from murmurate.experiments.config import ExperimentConfig
 from murmurate.world import Start, World, check_configurations
@@ -67,7 +67,7 @@ class Run:
         except InputError as error:
             raise RunError(f"{folder / storage.EXPERIMENT}: {error}") from None
         templates = policy_templates(discovery, len(files))
-        policies = [storage.load_tree(folder / file, like) for file, like in zip(files, templates, strict=True)]
+        policies = [trees.load(folder / file, like) for file, like in zip(files, templates, strict=True)]
         return cls(folder, experiment, discovery.cascade(tuple(policies)), manifest)
 
     @property

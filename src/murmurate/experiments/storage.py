@@ -1,7 +1,7 @@
 """The files of a run folder: written whole or not at all, checked when read, free of pickle.
 
 Every file is written beside its place and then moved there, so that a killed process or a full disk never leaves half a
-file under its name. Arrays are safetensors and npz files; a run from a stranger is safe to open.
+file under its name. Trees of arrays, as policies are, have `trees`; a run from a stranger is safe to open.
 """
 
 from __future__ import annotations
@@ -16,13 +16,10 @@ import platform
 from collections.abc import Iterable, Iterator, Mapping
 from importlib import metadata
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-import safetensors
-import safetensors.numpy
 
 from murmurate.errors import RunError
 
@@ -33,14 +30,14 @@ __all__ = [
     "append_lines",
     "checksums",
     "claim",
-    "load_tree",
     "look",
     "make_folder",
+    "one_line",
+    "read_bytes",
     "read_json",
     "read_manifest",
-    "read_notes",
     "read_npz",
-    "save_tree",
+    "to_json",
     "truncate_lines",
     "verify",
     "versions",
@@ -50,7 +47,6 @@ __all__ = [
     "write_text",
 ]
 
-T = TypeVar("T")
 FORMAT = 1
 MANIFEST = "manifest.json"
 EXPERIMENT = "experiment.toml"
@@ -78,7 +74,7 @@ def look(folder: str | Path, resume: bool = False) -> Found:
         RunError: The folder holds something that would be overwritten, or cannot be read.
     """
     folder = Path(folder)
-    with _one_line(f"cannot write to {folder}"):
+    with one_line(f"cannot write to {folder}"):
         present = {path.name for path in folder.iterdir() if not _is_partial(path)} if folder.exists() else set()
         is_run = bool(present & {EXPERIMENT, MANIFEST})
         if present and not is_run:
@@ -105,7 +101,7 @@ def claim(folder: str | Path, resume: bool = False) -> Found:
     """
     found, folder = look(folder, resume), Path(folder)
     if found != "finished":
-        with _one_line(f"cannot write to {folder}"):
+        with one_line(f"cannot write to {folder}"):
             _make_writable(folder)
     return found
 
@@ -136,8 +132,18 @@ def make_folder(path: str | Path) -> None:
     Raises:
         RunError: It cannot be created.
     """
-    with _one_line(f"cannot create {path}"):
+    with one_line(f"cannot create {path}"):
         Path(path).mkdir(parents=True, exist_ok=True)
+
+
+def read_bytes(path: str | Path) -> bytes:
+    """Reads a file.
+
+    Raises:
+        RunError: It is missing or cannot be read.
+    """
+    with one_line(f"cannot read {path}"):
+        return Path(path).read_bytes()
 
 
 def write_bytes(path: str | Path, data: bytes) -> None:
@@ -149,7 +155,7 @@ def write_bytes(path: str | Path, data: bytes) -> None:
     path = Path(path)
     partial = path.with_name(f".{path.name}.partial")
     try:
-        with _one_line(f"cannot write {path}"):
+        with one_line(f"cannot write {path}"):
             _write_synced(partial, data)
             partial.replace(path)
     except BaseException:
@@ -163,9 +169,14 @@ def write_text(path: str | Path, text: str) -> None:
     write_bytes(path, text.encode())
 
 
+def to_json(value: Any, indent: int | None = None) -> str:
+    """Returns a value as JSON; NaN and infinities, which JSON does not have, become null."""
+    return json.dumps(_plain(value), indent=indent, allow_nan=False)
+
+
 def write_json(path: str | Path, value: Any) -> None:
     """Writes a JSON file whole or not at all; NaN and infinities, which JSON does not have, become null."""
-    write_text(path, json.dumps(_plain(value), indent=2, allow_nan=False) + "\n")
+    write_text(path, to_json(value, indent=2) + "\n")
 
 
 def read_json(path: str | Path) -> Any:
@@ -174,10 +185,8 @@ def read_json(path: str | Path) -> Any:
     Raises:
         RunError: The file is missing or is not JSON.
     """
-    with _one_line(f"cannot read {path}"):
-        data = Path(path).read_bytes()
     try:
-        return json.loads(data)
+        return json.loads(read_bytes(path))
     except ValueError as error:
         raise RunError(f"{path} is not valid JSON: {error}") from None
 
@@ -204,8 +213,7 @@ def read_npz(path: str | Path) -> dict[str, np.ndarray]:
     Raises:
         RunError: The file is missing or damaged.
     """
-    with _one_line(f"cannot read {path}"):
-        data = Path(path).read_bytes()
+    data = read_bytes(path)
     try:
         with np.load(io.BytesIO(data), allow_pickle=False) as file:
             return dict(file)
@@ -222,8 +230,8 @@ def append_lines(path: str | Path, rows: Iterable[Any]) -> None:
     Raises:
         RunError: The file cannot be written.
     """
-    data = "".join(json.dumps(_plain(row), allow_nan=False) + "\n" for row in rows).encode()
-    with _one_line(f"cannot write {path}"), Path(path).open("ab", buffering=0) as file:
+    data = "".join(to_json(row) + "\n" for row in rows).encode()
+    with one_line(f"cannot write {path}"), Path(path).open("ab", buffering=0) as file:
         size = file.tell()
         try:
             while data:  # an unbuffered write may take only part of the data
@@ -241,98 +249,13 @@ def truncate_lines(path: str | Path, count: int) -> None:
         RunError: The file has fewer lines, or cannot be written.
     """
     path = Path(path)
-    with _one_line(f"cannot read {path}"):
+    with one_line(f"cannot read {path}"):
         lines = path.read_bytes().splitlines(keepends=True) if path.exists() else []
     kept = [line for line in lines[:count] if line.endswith(b"\n")]
     if len(kept) < count:
         raise RunError(f"{path} has {len(kept)} rows, but the checkpoint was saved after {count}")
     if len(lines) > count:
         write_bytes(path, b"".join(kept))
-
-
-# Trees of arrays
-
-
-def save_tree(path: str | Path, tree: Any, notes: Any = None) -> None:
-    """Writes the arrays of a PyTree to a safetensors file, named by their places in the tree, whole or not at all.
-
-    Leaves that are not arrays (activation functions, for example) belong to the template that `load_tree` is given.
-
-    Args:
-        path: The file.
-        tree: Equinox modules, optax states, dictionaries and the like; PRNG keys as `jax.random.key_data`.
-        notes: Anything that JSON can hold, kept in the header of the file for `read_notes`.
-
-    Raises:
-        RunError: The file cannot be written.
-    """
-    arrays = {name: np.asarray(leaf, order="C") for name, leaf in _named_leaves(tree) if _is_array(leaf)}
-    header = None if notes is None else {"notes": json.dumps(_plain(notes), allow_nan=False)}
-    write_bytes(path, safetensors.numpy.save(arrays, metadata=header))
-
-
-def load_tree(path: str | Path, template: T) -> T:
-    """Reads a file of `save_tree`, bit for bit.
-
-    Args:
-        path: The file.
-        template: A tree of the same structure; its arrays, or `jax.ShapeDtypeStruct`s, say what the file must hold.
-
-    Returns:
-        The template with the arrays of the file.
-
-    Raises:
-        RunError: The file is missing or damaged, or its names, shapes or types are not those of the template.
-    """
-    with _one_line(f"cannot read {path}"):
-        data = Path(path).read_bytes()
-    try:
-        arrays = safetensors.numpy.load(data)
-    except (safetensors.SafetensorError, KeyError, ValueError) as error:
-        raise RunError(f"{path} is not a valid safetensors file: {error}") from None
-    named = _named_leaves(template)
-    expected = {name for name, leaf in named if _is_array(leaf)}
-    for problem, names in (("lacks", expected - arrays.keys()), ("has the unexpected", arrays.keys() - expected)):
-        if names:
-            raise RunError(f"{path} {problem} array {min(names)!r}")
-    leaves = [_fitted(path, name, arrays[name], leaf) if _is_array(leaf) else leaf for name, leaf in named]
-    return jax.tree_util.tree_unflatten(jax.tree_util.tree_structure(template), leaves)
-
-
-def read_notes(path: str | Path) -> Any:
-    """Reads the notes of a file of `save_tree`; None when it has none.
-
-    Raises:
-        RunError: The file is missing or damaged.
-    """
-    try:
-        with _one_line(f"cannot read {path}"), safetensors.safe_open(path, framework="numpy") as file:
-            return json.loads((file.metadata() or {}).get("notes", "null"))
-    except (safetensors.SafetensorError, ValueError) as error:
-        raise RunError(f"{path} is not a valid safetensors file: {error}") from None
-
-
-def _named_leaves(tree: Any) -> list[tuple[str, Any]]:
-    """Returns the leaves with their places as names, such as `layers/0/weight`."""
-    named = [
-        (jax.tree_util.keystr(place, simple=True, separator="/"), leaf)
-        for place, leaf in jax.tree_util.tree_flatten_with_path(tree)[0]
-    ]
-    if len({name for name, _ in named}) < len(named):
-        raise ValueError("two leaves of the tree have the same name")
-    return named
-
-
-def _is_array(leaf: Any) -> bool:
-    return isinstance(leaf, jax.Array | np.ndarray | jax.ShapeDtypeStruct)
-
-
-def _fitted(path: str | Path, name: str, array: np.ndarray, leaf: Any) -> Any:
-    """Returns the array in the library of the template's leaf, after comparing shape and type."""
-    if array.shape != leaf.shape or array.dtype != leaf.dtype:
-        have, want = (f"{x.dtype}{list(x.shape)}" for x in (array, leaf))
-        raise RunError(f"{path} has {name!r} as {have}, but {want} is needed")
-    return array.copy() if isinstance(leaf, np.ndarray) else jnp.array(array)
 
 
 # The manifest
@@ -388,7 +311,7 @@ def verify(folder: str | Path, manifest: Mapping[str, Any]) -> None:
 
 
 def _checksum(path: Path) -> str:
-    with _one_line(f"cannot read {path}"), path.open("rb") as file:
+    with one_line(f"cannot read {path}"), path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
@@ -403,7 +326,7 @@ def _write_synced(path: Path, data: bytes) -> None:
 
 
 @contextlib.contextmanager
-def _one_line(what: str) -> Iterator[None]:
+def one_line(what: str) -> Iterator[None]:
     """Turns what the operating system says into one line about the run."""
     try:
         yield

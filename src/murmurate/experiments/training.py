@@ -13,7 +13,7 @@ import jax
 
 from murmurate import __version__
 from murmurate.discovery import Discovery, policy_name
-from murmurate.experiments import checkpoint, storage
+from murmurate.experiments import checkpoint, storage, trees
 from murmurate.experiments import config as configuration
 from murmurate.experiments.checkpoint import Checkpoint
 from murmurate.experiments.config import ExperimentConfig
@@ -126,7 +126,7 @@ def _finish(
     files = policy_files(len(snapshot.policies))
     storage.make_folder(folder / "policies")
     for file, policy in zip(files, snapshot.policies, strict=True):
-        storage.save_tree(folder / file, policy)
+        trees.save(folder / file, policy)
     run = Run(folder, config, discovery.cascade(snapshot.policies), {})
     evaluation = evaluate(run)
     evaluation.save(folder)

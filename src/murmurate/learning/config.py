@@ -13,9 +13,10 @@ from jaxtyping import Array, Float
 
 from murmurate.errors import InputError
 
-__all__ = ["Hyperparameters", "PPOConfig", "Schedule", "Shape", "ValueTarget"]
+__all__ = ["Exploration", "Hyperparameters", "PPOConfig", "Schedule", "Shape", "ValueTarget"]
 
 ValueTarget = Literal["gae", "rewards-to-go"]
+Exploration = Literal["learned", "scheduled"]
 
 
 @dataclass(frozen=True)
@@ -39,6 +40,10 @@ class PPOConfig:
         value_target: gae (advantage plus value) or rewards-to-go (undiscounted, as the paper prints it).
         reward_scale: Factor on every reward while learning.
         max_gradient: Bound on the global norm of each network's gradient.
+        exploration: Whether the spread of the actions is learned with the policy or scheduled. A learned one stays wide
+            where noise itself pays, and what only noise reaches is lost when the most likely action is executed.
+        log_std: Natural logarithm of the spread at the first update, in the policy's unit: the speed limit, for robots.
+        log_std_end: The same at the last update, where it is scheduled.
     """
 
     updates: int = 100
@@ -57,6 +62,9 @@ class PPOConfig:
     value_target: ValueTarget = "gae"
     reward_scale: float = 10.0
     max_gradient: float = 0.5
+    exploration: Exploration = "learned"
+    log_std: float = -1.0
+    log_std_end: float = -2.5
 
     def __post_init__(self) -> None:
         for name in ("updates", "worlds", "steps", "epochs", "minibatches"):
@@ -75,8 +83,12 @@ class PPOConfig:
         for name in ("clip", "clip_end", "reward_scale", "max_gradient"):
             if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0):
                 raise InputError(name, getattr(self, name), "a finite number > 0")
-        if self.value_target not in get_args(ValueTarget):
-            raise InputError("value_target", self.value_target, f"one of {', '.join(get_args(ValueTarget))}")
+        for name in ("log_std", "log_std_end"):
+            if not math.isfinite(getattr(self, name)):
+                raise InputError(name, getattr(self, name), "a finite number")
+        for name, choices in (("value_target", get_args(ValueTarget)), ("exploration", get_args(Exploration))):
+            if getattr(self, name) not in choices:
+                raise InputError(name, getattr(self, name), f"one of {', '.join(choices)}")
 
 
 class Schedule(eqx.Module):
@@ -91,7 +103,7 @@ class Schedule(eqx.Module):
 
 
 class Hyperparameters(eqx.Module):
-    """The numbers of `PPOConfig` that can change without recompiling."""
+    """The numbers of `PPOConfig` that can change without recompiling; `log_std` is None where it is learned."""
 
     updates: Any
     discount: Any
@@ -101,6 +113,7 @@ class Hyperparameters(eqx.Module):
     clip: Schedule
     reward_scale: Any
     max_gradient: Any
+    log_std: Schedule | None
 
     @classmethod
     def create(cls, config: PPOConfig) -> Hyperparameters:
@@ -114,6 +127,7 @@ class Hyperparameters(eqx.Module):
             clip=Schedule(config.clip, config.clip_end),
             reward_scale=config.reward_scale,
             max_gradient=config.max_gradient,
+            log_std=Schedule(config.log_std, config.log_std_end) if config.exploration == "scheduled" else None,
         )
         # Arrays, because equinox compiles plain numbers in.
         return jax.tree.map(jnp.asarray, numbers)

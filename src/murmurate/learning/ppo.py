@@ -122,6 +122,8 @@ def _improve(
     (loss, report), gradient = eqx.filter_value_and_grad(policy_loss, has_aux=True)(
         state.policy, batch, hyper.clip(progress)
     )
+    if hyper.log_std is not None:
+        gradient = eqx.tree_at(lambda g: g.log_std, gradient, replace_fn=jnp.zeros_like)
     policy, policy_moments = _descend(state.policy, state.policy_moments, gradient, rates[0], hyper.max_gradient)
     error, gradient = eqx.filter_value_and_grad(value_loss)(state.value, batch)
     value, value_moments = _descend(state.value, state.value_moments, gradient, rates[1], hyper.max_gradient)
@@ -139,6 +141,9 @@ def _update(
     """Collects one batch of trajectories and learns from it (one turn of Algorithm 1's loop)."""
     key, act, shuffle = jax.random.split(jax.random.wrap_key_data(state.key), 3)
     progress = state.update / jnp.maximum(hyper.updates - 1, 1)
+    if hyper.log_std is not None:
+        spread = jnp.full_like(state.policy.log_std, hyper.log_std(progress))
+        state = eqx.tree_at(lambda s: s.policy.log_std, state, spread)
     env_state, rollout = collect(env, state.policy, state.env_state, act, shape.steps)
     batch = _batch(state.value, rollout, hyper, shape)
 

@@ -1,7 +1,7 @@
 """Networks and action distributions. Knows arrays only.
 
 Both policies map `(robots, 2, *batch)` positions to velocities of the same shape, or to a `Gaussian` around them, and
-both value networks to values `(actions, *batch)`: one for the swarm (central) or one a robot (equivariant).
+both value networks to values `(actions, *batch)`: one a robot, or one for the swarm, as credit is given.
 """
 
 from __future__ import annotations
@@ -10,13 +10,14 @@ import jax
 from jaxtyping import PRNGKeyArray
 
 from murmurate.policies.central import CentralPolicy, CentralValue
-from murmurate.policies.config import PolicyConfig, PolicyKind, Sizes
+from murmurate.policies.config import Credit, PolicyConfig, PolicyKind, Sizes
 from murmurate.policies.equivariant import EquivariantPolicy, EquivariantValue
 from murmurate.policies.gaussian import Gaussian
 
 __all__ = [
     "CentralPolicy",
     "CentralValue",
+    "Credit",
     "EquivariantPolicy",
     "EquivariantValue",
     "Gaussian",

@@ -26,6 +26,7 @@ class CentralPolicy(eqx.Module):
     body: Tanh
     head: Dense
     log_std: Float[Array, "robots 2"]
+    joint: bool = eqx.field(static=True)
     sizes: Sizes = eqx.field(static=True)
 
     def __init__(self, config: PolicyConfig, sizes: Sizes, key: PRNGKeyArray) -> None:
@@ -34,6 +35,7 @@ class CentralPolicy(eqx.Module):
         self.body = Tanh(features, config.hidden, body)
         self.head = Dense((features, *config.hidden)[-1], features, head, gain=0.01)
         self.log_std = jnp.zeros((sizes.robots, 2))
+        self.joint = config.credit == "swarm"
         self.sizes = sizes
 
     def __call__(self, positions: Float[Array, "robots 2 *batch"]) -> Float[Array, "robots 2 *batch"]:
@@ -42,9 +44,9 @@ class CentralPolicy(eqx.Module):
         return self.sizes.max_speed * out.reshape(positions.shape)
 
     def distribution(self, positions: Float[Array, "robots 2 *batch"]) -> Gaussian:
-        """Returns normal velocities around the most likely ones, drawn for the swarm as one."""
+        """Returns normal velocities around the most likely ones: one action of the swarm, or one of every robot."""
         log_std = self.log_std.reshape(self.log_std.shape + (1,) * (positions.ndim - 2))
-        return Gaussian(self(positions), log_std + math.log(self.sizes.max_speed), joint=True)
+        return Gaussian(self(positions), log_std + math.log(self.sizes.max_speed), joint=self.joint)
 
 
 class CentralValue(eqx.Module):
@@ -58,9 +60,10 @@ class CentralValue(eqx.Module):
         body, head = jax.random.split(key)
         features = 2 * sizes.robots
         self.body = Tanh(features, config.hidden, body)
-        self.head = Dense((features, *config.hidden)[-1], 1, head, gain=1.0)
+        actions = 1 if config.credit == "swarm" else sizes.robots
+        self.head = Dense((features, *config.hidden)[-1], actions, head, gain=1.0)
         self.sizes = sizes
 
-    def __call__(self, positions: Float[Array, "robots 2 *batch"]) -> Float[Array, "1 *batch"]:
-        """Returns the value of every configuration: one, as the swarm acts as one."""
+    def __call__(self, positions: Float[Array, "robots 2 *batch"]) -> Float[Array, "actions *batch"]:
+        """Returns the value of every configuration: one of the swarm, or one of every robot."""
         return self.head(self.body(_features(positions, self.sizes)))

@@ -7,9 +7,10 @@ from typing import Literal, get_args
 
 from murmurate.errors import InputError
 
-__all__ = ["PolicyConfig", "PolicyKind", "Sizes"]
+__all__ = ["Credit", "PolicyConfig", "PolicyKind", "Sizes"]
 
 PolicyKind = Literal["central", "equivariant"]
+Credit = Literal["robots", "swarm"]
 
 
 @dataclass(frozen=True)
@@ -20,11 +21,14 @@ class PolicyConfig:
         kind: central (the paper's: one network over all positions) or equivariant (shared by all robots).
         hidden: Widths of the tanh layers (central), or of the edge and node layers (equivariant).
         basis: Number of radial basis functions (equivariant).
+        credit: Who answers for a step while learning: every robot for its own velocity, by its share of the objective,
+            or the swarm as one (the paper's; central only).
     """
 
     kind: PolicyKind = "equivariant"
     hidden: tuple[int, ...] = (128, 128)
     basis: int = 8
+    credit: Credit = "robots"
 
     def __post_init__(self) -> None:
         if self.kind not in get_args(PolicyKind):
@@ -33,6 +37,10 @@ class PolicyConfig:
             raise InputError("hidden", self.hidden, "one or more integers >= 1")
         if self.basis < 2:
             raise InputError("basis", self.basis, "an integer >= 2")
+        if self.credit not in get_args(Credit):
+            raise InputError("credit", self.credit, f"one of {', '.join(get_args(Credit))}")
+        if self.credit == "swarm" and self.kind == "equivariant":
+            raise InputError("credit", self.credit, "robots: an equivariant policy's robots act each for itself")
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from murmurate.policies.config import PolicyConfig, Sizes
 from murmurate.policies.features import pair_channels, point, robot_channels, surroundings
 from murmurate.policies.gaussian import Gaussian
-from murmurate.policies.layers import Dense, fold
+from murmurate.policies.layers import Dense, Linear, fold
 
 __all__ = ["EquivariantPolicy", "EquivariantValue"]
 
@@ -37,8 +37,8 @@ class EquivariantPolicy(eqx.Module):
 
     node: Dense
     pair: Dense
-    mine: Dense
-    theirs: Dense
+    mine: Linear
+    theirs: Linear
     head: Dense
     to_point: Dense
     log_std: Float[Array, ""]
@@ -50,8 +50,8 @@ class EquivariantPolicy(eqx.Module):
         nodes, edges = config.hidden[0], config.hidden[-1]
         self.node = Dense(robot_channels(config.basis, sizes.landmark), nodes, keys[0], gain=5 / 3)
         self.pair = Dense(pair_channels(config.basis), edges, keys[1])
-        self.mine = Dense(nodes, edges, keys[2])
-        self.theirs = Dense(nodes, edges, keys[3])
+        self.mine = Linear(nodes, edges, keys[2])
+        self.theirs = Linear(nodes, edges, keys[3])
         self.head = Dense(edges, 2, keys[4], gain=0.05)
         self.to_point = Dense(nodes, 2, keys[5], gain=0.05)
         self.log_std = jnp.zeros(())
@@ -62,7 +62,7 @@ class EquivariantPolicy(eqx.Module):
         """Returns the most likely velocities, world units per step."""
         seen = surroundings(positions, self.basis, self.sizes)
         nodes = jnp.tanh(self.node(seen.robot))
-        mine, theirs = self.mine.linear(nodes), self.theirs.linear(nodes)
+        mine, theirs = self.mine(nodes), self.theirs(nodes)
         g, h = self.head(jnp.tanh(self.pair(seen.pair) + mine[:, :, None] + theirs[:, None, :]))
         ahead, aside = (g * seen.ux - h * seen.uy, g * seen.uy + h * seen.ux)
         vx, vy = fold(lambda i: (ahead[:, i], aside[:, i]), positions.shape[0])
@@ -84,7 +84,7 @@ class EquivariantValue(eqx.Module):
 
     node: Dense
     mine: Dense
-    ours: Dense
+    ours: Linear
     head: Dense
     basis: int = eqx.field(static=True)
     sizes: Sizes = eqx.field(static=True)
@@ -94,7 +94,7 @@ class EquivariantValue(eqx.Module):
         width = config.hidden[0]
         self.node = Dense(robot_channels(config.basis, sizes.landmark), width, keys[0], gain=5 / 3)
         self.mine = Dense(width, width, keys[1], gain=5 / 3)
-        self.ours = Dense(width, width, keys[2])
+        self.ours = Linear(width, width, keys[2])
         self.head = Dense(width, 1, keys[3])
         self.basis = config.basis
         self.sizes = sizes
@@ -103,5 +103,5 @@ class EquivariantValue(eqx.Module):
         """Returns every robot's value of every configuration."""
         seen = surroundings(positions, self.basis, self.sizes)
         nodes = jnp.tanh(self.node(seen.robot))
-        ours = self.ours.linear(jnp.mean(nodes, axis=1))
+        ours = self.ours(jnp.mean(nodes, axis=1))
         return self.head(jnp.tanh(self.mine(nodes) + ours[:, None]))[0]

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
-__all__ = ["Dense", "Tanh", "fold"]
+__all__ = ["Dense", "Linear", "Tanh", "fold"]
 
 
 def fold(term: Callable[[int], tuple[Array, ...]], count: int) -> tuple[Array, ...]:
@@ -25,24 +25,32 @@ def fold(term: Callable[[int], tuple[Array, ...]], count: int) -> tuple[Array, .
     return total
 
 
-class Dense(eqx.Module):
-    """An affine map of the leading axis, initialised orthogonally with the given gain."""
+class Linear(eqx.Module):
+    """A linear map of the leading axis, initialised orthogonally with the given gain."""
 
     weight: Float[Array, "out features"]
-    bias: Float[Array, " out"]
 
     def __init__(self, features: int, out: int, key: PRNGKeyArray, gain: float = 1.0) -> None:
         self.weight = jax.nn.initializers.orthogonal(gain)(key, (out, features))
+
+    def __call__(self, x: Float[Array, "features *batch"]) -> Float[Array, "out *batch"]:
+        """Applies the map to every member of the batch."""
+        # Flattened first, so that the gradient too is one plain matrix product instead of a contraction of many axes.
+        return (self.weight @ x.reshape(x.shape[0], -1)).reshape(-1, *x.shape[1:])
+
+
+class Dense(Linear):
+    """An affine map of the leading axis, initialised orthogonally with the given gain."""
+
+    bias: Float[Array, " out"]
+
+    def __init__(self, features: int, out: int, key: PRNGKeyArray, gain: float = 1.0) -> None:
+        super().__init__(features, out, key, gain)
         self.bias = jnp.zeros(out)
 
     def __call__(self, x: Float[Array, "features *batch"]) -> Float[Array, "out *batch"]:
         """Applies the map to every member of the batch."""
-        return self.linear(x) + self.bias.reshape((-1,) + (1,) * (x.ndim - 1))
-
-    def linear(self, x: Float[Array, "features *batch"]) -> Float[Array, "out *batch"]:
-        """Applies the map without its bias."""
-        # Flattened first, so that the gradient too is one plain matrix product instead of a contraction of many axes.
-        return (self.weight @ x.reshape(x.shape[0], -1)).reshape(-1, *x.shape[1:])
+        return super().__call__(x) + self.bias.reshape((-1,) + (1,) * (x.ndim - 1))
 
 
 class Tanh(eqx.Module):

@@ -119,7 +119,11 @@ class Layouts(Start):
 
 
 class Anywhere(Start):
-    """Anywhere in the world; with `spread` below 1, within a randomly placed window of a random share of it."""
+    """Anywhere in the world; with `spread` below 1, in two randomly placed windows, each a random share of it.
+
+    Windows are placed anywhere and pushed inside, so small ones often lie along a wall or in a corner; how the robots
+    divide between the two is random as well, all in one included.
+    """
 
     robots: int = eqx.field(static=True)
     half_width: Any
@@ -128,20 +132,26 @@ class Anywhere(Start):
     spread: Any = 1.0
 
     def sample(self, key: PRNGKeyArray, batch: int, rounds: int | None = None) -> Float[Array, "robots 2 batch"]:
-        """Draws every robot uniformly in the window, whose sides are a share U(spread, 1) of the world's.
+        """Draws every robot uniformly in its window, whose sides are a share from `spread` to 1 of the world's.
+
+        Shares are uniform in their logarithm: tight crowds are as common as loose ones.
 
         No window is so small that the discs around N - 1 centres, which the last one must avoid, could fill it.
         """
-        size_key, place_key, draw = jax.random.split(key, 3)
+        size_key, place_key, divide, draw = jax.random.split(key, 4)
         bounds = jnp.stack([jnp.asarray(self.half_width), jnp.asarray(self.half_height)])[:, None]
         room = self.radius * jnp.sqrt(jnp.pi * (self.robots - 1) / (self.half_width * self.half_height))
         least = jnp.minimum(jnp.maximum(self.spread, room), 1.0)
-        share = jax.random.uniform(size_key, (2, batch), minval=least, maxval=1.0)
-        center = bounds * (1 - share) * jax.random.uniform(place_key, (2, batch), minval=-1.0, maxval=1.0)
+        share = least ** jax.random.uniform(size_key, (2, 2, batch))
+        place = jax.random.uniform(place_key, (2, 2, batch), minval=-1.0, maxval=1.0)
+        center = bounds * jnp.clip(place, share - 1, 1 - share)
+        first = jax.random.uniform(divide, (batch,))
 
         def propose(key: PRNGKeyArray) -> Float[Array, "robots 2 batch"]:
-            unit = jax.random.uniform(key, (self.robots, 2, batch), minval=-1.0, maxval=1.0)
-            return center + bounds * share * unit
+            window, inside = jax.random.split(key)
+            unit = jax.random.uniform(inside, (self.robots, 2, batch), minval=-1.0, maxval=1.0)
+            mine = (jax.random.uniform(window, (self.robots, batch)) < first)[:, None]
+            return jnp.where(mine, center[0] + bounds * share[0] * unit, center[1] + bounds * share[1] * unit)
 
         return _without_overlap(draw, propose, self.radius, rounds)
 
