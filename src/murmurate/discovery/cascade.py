@@ -107,11 +107,7 @@ class Cascade(eqx.Module):
         Returns:
             What happened, until the last episode ended.
         """
-        status = _begin(self, jnp.moveaxis(jnp.asarray(starts, jnp.float32), 0, -1))
-        first = (
-            status.state.positions[None],
-            jax.tree.map(lambda s: s[None], self.world.signals(status.state.positions)),
-        )
+        status, first = _begin(self, jnp.moveaxis(jnp.asarray(starts, jnp.float32), 0, -1))
         parts = [jax.device_get(first)]
         while bool(jnp.any(status.active())):
             status, part = _advance(self, status)
@@ -131,13 +127,15 @@ class Cascade(eqx.Module):
 
 
 @eqx.filter_jit
-def _begin(cascade: Cascade, positions: Float[Array, "robots 2 batch"]) -> _Status:
+def _begin(cascade: Cascade, positions: Float[Array, "robots 2 batch"]) -> tuple[_Status, tuple[Array, Any]]:
     batch = positions.shape[-1]
     none = jnp.zeros(batch, jnp.int32)
     no = jnp.zeros(batch, bool)
     changes = jnp.full((cascade.rest.window, batch), jnp.inf)
     switch = jnp.zeros((len(cascade.policies), batch), jnp.int32)
-    return _Status(cascade.world.state(positions), none, none, changes, none, switch, no, no)
+    status = _Status(cascade.world.state(positions), none, none, changes, none, switch, no, no)
+    first = (positions, cascade.world.signals(positions))
+    return status, jax.tree.map(lambda x: x[None], first)
 
 
 @eqx.filter_jit

@@ -57,11 +57,12 @@ _EQUIVARIANT = Learner(
         repeat=2,
         warm_start=True,
     ),
-    discovery=DiscoveryConfig(),
 )
 
+# The paper's method, with measured numbers. What serves the other learner (fading exploration, credit robot by robot,
+# longer repeats) makes this one erratic: some seeds gain, others lose every pattern.
 _CENTRAL = Learner(
-    policy=PolicyConfig(kind="central", hidden=(128, 128)),
+    policy=PolicyConfig(kind="central", hidden=(128, 128), credit="swarm"),
     base=StageConfig(
         ppo=PPOConfig(updates=100, epochs=4, minibatches=16),
         weights=WeightsConfig(visible=2.0),

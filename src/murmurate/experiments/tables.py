@@ -33,6 +33,7 @@ RESULTS = (
     "paper's total",
     "bound",
     "total / bound",
+    "policies",
     "environment steps",
     "training",
 )
@@ -85,6 +86,7 @@ def _result(folder: Path) -> Row:
     config, summary = configuration.load(folder), read_evaluation(folder)
     row = paper_row(config) if summary["starts"] == FRESH else None
     try:
+        policies = str(len(manifest["policies"]))
         training = f"{manifest['environment_steps'] / 1e6:.2f} M", f"{manifest['train_seconds']:.0f} s"
     except (KeyError, TypeError) as error:
         raise RunError(f"{folder / storage.MANIFEST} is incomplete: {error}") from None
@@ -101,6 +103,7 @@ def _result(folder: Path) -> Row:
         NONE if row is None else paper_total(row),
         f"{summary['bound_steps']:.1f}",
         _times(summary),
+        policies,
         *training,
     )
 

@@ -1,0 +1,190 @@
+r"""When two configurations are the same pattern: alike up to moving, turning, relabelling, and scaling or mirroring.
+
+Configurations are centred, and for `scaling` brought to a root mean square radius of 1. As complex numbers p and q
+their distance is then
+
+    d(p, q)^2 = min over angles a and relabellings s of the mean of |p_i - exp(ia) q_s(i)|^2,
+
+with the mirror image of q tried as well for `reflection`. Moving, turning, relabelling and mirroring keep distances, so
+d is a metric on patterns. It is found exactly, for symmetric patterns too: in any one direction the best relabelling is
+a linear assignment, and few directions need be looked at (`_best`).
+
+NumPy only, in float64: patterns are compared by the hundred, not by the million.
+"""
+
+from __future__ import annotations
+
+import cmath
+import heapq
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Complex, Float, Int
+from scipy.optimize import linear_sum_assignment
+
+from murmurate.errors import InputError
+
+__all__ = ["Match", "align", "canonical", "distance", "lower_bound"]
+
+ROUNDING = 1e-14
+"""Differences of overlaps that are only rounding, relative to the sum of all products."""
+
+Points = Float[np.ndarray, "robots 2"]
+
+
+class Match(NamedTuple):
+    """How one configuration is laid onto another.
+
+    Attributes:
+        distance: Root mean square distance of the robots laid onto each other.
+        angle: By how much the second one is turned, after mirroring.
+        mirrored: Whether it is mirrored (y to -y).
+        order: Its robot for each robot of the first.
+    """
+
+    distance: float
+    angle: float
+    mirrored: bool
+    order: Int[np.ndarray, " robots"]
+
+
+def normalized(positions: Points, scaling: bool = True) -> Complex[np.ndarray, " robots"]:
+    """Returns a configuration as complex numbers around its centroid, with unit root mean square radius for `scaling`.
+
+    Raises:
+        InputError: It is no configuration of finite numbers.
+    """
+    points = np.asarray(positions, float)
+    if points.ndim != 2 or points.shape[1] != 2 or not len(points) or not np.isfinite(points).all():
+        raise InputError("positions", points.shape, "finite numbers of shape (robots, 2)")
+    # Scaled down before centring, so that huge coordinates do not overflow when squared.
+    largest = np.abs(points).max() or 1.0
+    z = (points[:, 0] + 1j * points[:, 1]) / largest
+    z = z - z.mean()
+    if not scaling:
+        return z * largest
+    radius = math.sqrt(np.mean(np.abs(z) ** 2))
+    # Coincident robots have no size to be scaled to.
+    return z / radius if radius > 1e-12 else np.zeros_like(z)
+
+
+def distance(first: Points, second: Points, *, scaling: bool = True, reflection: bool = True) -> float:
+    """Measures how far two configurations are from being the same pattern.
+
+    Args:
+        first: Centres of the robots, world units.
+        second: The other's; as many.
+        scaling: Whether size does not matter; the distance is then in root mean square radii, else in world units.
+        reflection: Whether mirror images are the same pattern.
+
+    Returns:
+        The root mean square distance of the robots, laid onto each other in the best way.
+
+    Raises:
+        InputError: The swarms differ in number, or a position is not finite.
+    """
+    return align(first, second, scaling=scaling, reflection=reflection).distance
+
+
+def align(first: Points, second: Points, *, scaling: bool = True, reflection: bool = True) -> Match:
+    """Finds the best way to lay one configuration onto another; see `distance`."""
+    p, q = _pair(first, second, scaling)
+    matches = [_best(p, z, mirrored) for mirrored, z in ((False, q), (True, q.conj()))[: 2 if reflection else 1]]
+    return min(matches, key=lambda match: match.distance)
+
+
+def lower_bound(first: Points, second: Points, *, scaling: bool = True) -> float:
+    """Returns a number that `distance` is never below, from the robots' distances to the centroid alone: fast."""
+    p, q = _pair(first, second, scaling)
+    return float(np.sqrt(np.mean((np.sort(np.abs(p)) - np.sort(np.abs(q))) ** 2)))
+
+
+def _pair(first: Points, second: Points, scaling: bool) -> tuple[Any, Any]:
+    p, q = normalized(first, scaling), normalized(second, scaling)
+    if len(p) != len(q):
+        raise InputError("second", f"{len(q)} robots", f"{len(p)} robots, as the first")
+    return p, q
+
+
+def canonical(positions: Points, *, scaling: bool = True, reflection: bool = True, digits: int = 6) -> Points:
+    """Returns one configuration for all that are the same pattern: the same numbers up to rounding.
+
+    The centroid is the origin, the robots stand in the order of their coordinates, and one of them lies on the positive
+    x-axis: the one that puts the list of coordinates, rounded to `digits` decimals of the root mean square radius,
+    first in dictionary order.
+
+    Raises:
+        InputError: It is no configuration of finite numbers.
+    """
+    z = normalized(positions, scaling)
+    size = math.sqrt(np.mean(np.abs(z) ** 2)) or 1.0
+    images = (z, z.conj()) if reflection else (z,)
+    anchored = [image * (a.conjugate() / abs(a)) for image in images for a in image[np.abs(z) > 10.0**-digits * size]]
+    _, form = min((_sorted(turned, digits, size) for turned in anchored or [z]), key=lambda pair: pair[0])
+    return np.stack([form.real, form.imag], axis=1)
+
+
+def _sorted(z: Any, digits: int, size: float) -> tuple[list[tuple[float, float]], Any]:
+    """Orders robots by rounded coordinates; returns the rounded list and the robots in its order."""
+    rounded = np.round(np.stack([z.real, z.imag], axis=1) / size, digits) + 0.0
+    order = np.lexsort((rounded[:, 1], rounded[:, 0]))
+    return [(float(x), float(y)) for x, y in rounded[order]], z[order]
+
+
+class _Arc(NamedTuple):
+    """Directions between two in which the farthest overlaps are known; heapq takes the highest bound first."""
+
+    minus_bound: float
+    begin: float
+    first: complex
+    end: float
+    second: complex
+
+
+def _arc(begin: float, first: complex, end: float, second: complex) -> _Arc:
+    """Bounds |c| between two directions: no c lies beyond the corner of the two supporting lines."""
+    apart = cmath.exp(1j * (begin - end)).conjugate().imag
+    heights = ((first * cmath.exp(-1j * begin)).real, (second * cmath.exp(-1j * end)).real)
+    corner = 1j * (heights[0] * cmath.exp(1j * end) - heights[1] * cmath.exp(1j * begin)) / -apart
+    return _Arc(-max(abs(corner), abs(first), abs(second)), begin, first, end, second)
+
+
+def _best(p: Complex[np.ndarray, " robots"], q: Complex[np.ndarray, " robots"], mirrored: bool) -> Match:
+    """Turns and relabels q so that it overlaps p best.
+
+    A relabelling s overlaps by c(s) = mean of p_i conj(q_s(i)), best when q is turned by the argument of c(s): then by
+    |c(s)|. A linear assignment finds the c(s) farthest in any one direction: a corner of the convex hull of all of
+    them. The farthest from 0 is a corner as well, so corners are found between those that are known, first where
+    their supporting lines leave room for the farthest.
+    """
+    products = p[:, None] * q.conj()[None] / len(p)
+    tolerance = ROUNDING * float(np.abs(products).sum())
+    best, order = 0j, np.arange(len(p))
+
+    def farthest(direction: float) -> complex:
+        nonlocal best, order
+        rows, columns = linear_sum_assignment((products * cmath.exp(-1j * direction)).real, maximize=True)
+        corner = complex(products[rows, columns].sum())
+        if abs(corner) > abs(best):
+            best, order = corner, columns
+        return corner
+
+    quarters = [(k * math.pi / 2, farthest(k * math.pi / 2)) for k in range(4)]
+    ends = [*quarters[1:], (2 * math.pi, quarters[0][1])]
+    queue = [_arc(*begin, *end) for begin, end in zip(quarters, ends, strict=True)]
+    heapq.heapify(queue)
+    while queue and -queue[0].minus_bound > abs(best) + tolerance:
+        _, begin, first, end, second = heapq.heappop(queue)
+        chord = second - first
+        if abs(chord) <= tolerance:
+            continue
+        # Perpendicular to the chord, outwards: between the two directions, because the hull is convex.
+        direction = begin + (cmath.phase(-1j * chord) - begin) % (2 * math.pi)
+        corner = farthest(direction)
+        if ((corner - first) * cmath.exp(-1j * direction)).real > tolerance:
+            heapq.heappush(queue, _arc(begin, first, direction, corner))
+            heapq.heappush(queue, _arc(direction, corner, end, second))
+    angle = cmath.phase(best)
+    apart = np.abs(p - q[order] * cmath.exp(1j * angle))
+    return Match(math.sqrt(np.mean(apart**2)), angle, mirrored, np.asarray(order))
