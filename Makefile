@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 EXPERIMENT ?= C
 SEED ?= 0
-OUT ?= runs/$(EXPERIMENT)-seed$(SEED)
+OUT ?= runs/$(EXPERIMENT)-equivariant-seed$(SEED)
 
 .PHONY: discover test lint benchmark results clean
 

@@ -24,7 +24,7 @@ def test_the_example_runs_on_a_run_that_discover_made(
     monkeypatch.chdir(tmp_path)
     (example,) = blocks("python")
     with jax.numpy_rank_promotion("allow"):
-        assert main(["discover", "C", "--out", "runs/C-seed0", *TINY]) in (0, 3)
+        assert main(["discover", "C", "--out", "runs/C-equivariant-seed0", *TINY]) in (0, 3)
         capsys.readouterr()
         exec(compile(example, str(README), "exec"), {})
     lengths, switches, seen = capsys.readouterr().out.splitlines()

@@ -8,7 +8,7 @@ import math
 from collections.abc import Iterable, Sequence
 from numbers import Integral, Real
 
-__all__ = ["InputError", "RunError", "UsageError", "check_choice", "check_number", "suggestion"]
+__all__ = ["GREATEST", "MOST", "InputError", "RunError", "UsageError", "check_choice", "check_number", "suggestion"]
 
 
 def _one_line(text: str) -> str:
@@ -43,6 +43,13 @@ class UsageError(Exception):
 
     def __init__(self, message: str) -> None:
         super().__init__(_one_line(message))
+
+
+GREATEST = 1e9
+"""Greatest magnitude of a number that is computed with: its square, and sums of them, are finite in float32."""
+
+MOST = 2**31 - 1
+"""Greatest whole number that is computed with."""
 
 
 def check_number(

@@ -63,12 +63,23 @@ def contents(folder):
         ("discover C --world.half_width -inf", "world.half_width = -inf: must be a finite number > 0"),
         ("discover C --base.weights.visible -1", "base.weights.visible = -1.0: must be a finite number >= 0"),
         ("discover C --auxiliary.weights.safety nan", "auxiliary.weights.safety = nan: must be a finite number >= 0"),
+        ("discover C --base.horizon 99999999999", "base.horizon = 99999999999: must be an integer >= 1 and <="),
+        ("discover C --rest.max_steps 99999999999", "rest.max_steps = 99999999999: must be an integer >= 1 and <="),
+        ("discover C --base.ppo.log_std 1e300", "base.ppo.log_std = 1e+300: must be a finite number >= -20 and <= 20"),
+        (
+            "discover C --world.collision_penalty 1e300",
+            "world.collision_penalty = 1e+300: must be a finite number >= 0",
+        ),
+        ("discover C --policy.credit team", "policy.credit = 'team': must be one of robots, swarm"),
+        ("discover C --policy.hidden 8,8,8", "policy.hidden = (8, 8, 8): must be at most two widths for equivariant"),
+        ("discover C --base.ppo.exploration no", "base.ppo.exploration = 'no': must be one of learned, scheduled"),
         ("discover C --world.robots 1000", "world.robots = 1000: must be few enough to fit the distributed start"),
         ("discover C --start.kind file --start.file no.csv", "starts = 'no.csv': must be a readable CSV file"),
         ("evaluate", "the following arguments are required: RUN"),
         ("evaluate none", "none holds no run"),
         ("evaluate none --episodes 0", "episodes = 0: must be an integer >= 1 and <= 10000"),
         ("evaluate none --episodes many", "argument --episodes: invalid int value: 'many'"),
+        ("evaluate none --seed 1 --starts x.csv", "--seed draws fresh starts: leave it out with --starts"),
         ("evaluate none --seed -1", "seed = -1: must be an integer from 0 to"),
         ("show none", "none holds no run"),
         ("show none none", "of several runs, only the patterns are drawn"),
@@ -209,5 +220,5 @@ def test_the_process_says_it_too(tmp_path):
         [sys.executable, "-c", code, *words], cwd=tmp_path, capture_output=True, text=True, check=False
     )
     assert (result.returncode, result.stdout) == (2, "")
-    assert result.stderr == "murmurate: world.radius = -1.0: must be a finite number > 0\n"
+    assert result.stderr == "murmurate: world.radius = -1.0: must be a finite number > 0 and <= 1e+09\n"
     assert list(tmp_path.iterdir()) == []

@@ -47,9 +47,20 @@ def test_results_of_many_runs(finished):
     cells = dict(zip(tables.RESULTS, rows[0], strict=True))
     assert [cells[name] for name in ("experiment", "policy", "seed", "paper's total")] == ["tiny", "central", "0", "-"]
     assert cells["valid"].endswith(" of 200")
+    assert (cells["policies"], cells["environment steps"]) == ("2", "0.00 M")
+    assert cells["training"].endswith(" s")
     assert float(cells["base steps"]) + float(cells["auxiliary steps"]) == pytest.approx(
         float(cells["total steps"]), abs=0.11
     )
+
+
+@pytest.mark.parametrize("field", ["base_steps", "valid", "valid_interval", "episodes"])
+def test_what_is_no_number_is_one_line(finished, tmp_path, field):
+    folder = shutil.copytree(finished, tmp_path / "run")
+    summary = storage.read_json(folder / "evaluation.json")
+    storage.write_json(folder / "evaluation.json", {**summary, field: "x"})
+    with pytest.raises(RunError, match=r"evaluation\.json holds what is no number"):
+        tables.results([folder])
 
 
 def test_a_broken_evaluation_is_one_line(finished, tmp_path):

@@ -79,6 +79,21 @@ def test_anywhere_is_clean_however_small_the_window(robots, side, shape, spread,
     assert_clean(np.asarray(draw(start, jax.random.key(seed), BATCH)), world)
 
 
+def test_small_windows_are_as_common_as_large_ones():
+    """Two windows, each of a log-uniform share of each side; one robot or more in each, or all in one."""
+    world = roomy(2, half_width=1000.0, half_height=1000.0)
+    start = Anywhere(40, world.half_width, world.half_height, 1e-6, 0.01)
+    positions = np.asarray(draw(start, jax.random.key(0), 2000))
+    # The first robot and the one nearest to it mostly share a window; the median share is that half-way in logarithms.
+    apart = np.abs(positions[1:] - positions[:1]).max(axis=1).min(axis=0) / world.half_width
+    everywhere = np.asarray(draw(Anywhere(40, 1000.0, 1000.0, 1e-6, 1.0), jax.random.key(0), 2000))
+    spread_out = np.abs(everywhere[1:] - everywhere[:1]).max(axis=1).min(axis=0) / world.half_width
+    assert np.median(apart) < 0.35 * np.median(spread_out)
+    at_wall = (np.abs(positions) > 990.0).any(axis=(0, 1)).mean()
+    assert at_wall > 0.2
+    np.testing.assert_allclose(np.std(everywhere), 1000 / np.sqrt(3), rtol=0.01)
+
+
 def test_a_configuration_that_got_stuck_is_drawn_anew():
     """Of thirty robots crowded around a circle, every thirtieth draw leaves one of them no place at all."""
     world = WorldConfig(robots=30, half_width=13.0, half_height=13.0)

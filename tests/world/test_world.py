@@ -29,9 +29,9 @@ def start():
     return make_start(StartConfig(), CONFIG)
 
 
-def build(config=CONFIG, objective="C1", weights=None, horizon=HORIZON, shared=False):
+def build(config=CONFIG, objective="C1", weights=None, horizon=HORIZON, by_robot=False):
     # Arrays, as under a jit: the step below then compiles once for all numbers.
-    return jax.tree.map(jnp.asarray, World.create(config, start(), objective, weights, horizon, shared))
+    return jax.tree.map(jnp.asarray, World.create(config, start(), objective, weights, horizon, by_robot))
 
 
 @pytest.fixture(scope="module")
@@ -194,21 +194,21 @@ def test_credit_is_the_reward_unless_it_is_shared(world):
 @pytest.mark.parametrize("objective", ["C1", "C2"])
 def test_shared_credit_of_one_mover_is_its_difference_reward(objective):
     """When one robot alone moves, its credit is N / 2 times the reward; the weights count in both."""
-    shared = build(objective=objective, weights=WEIGHTS, shared=True)
+    world = build(objective=objective, weights=WEIGHTS, by_robot=True)
     rng = np.random.default_rng(5)
     for mover in range(4):
         velocity = rng.uniform(-1, 1, 2)
-        _, transition = move(shared, SQUARE + rng.uniform(-2, 2, (4, 2)), still(**{f"r{mover}": velocity}))
+        _, transition = move(world, SQUARE + rng.uniform(-2, 2, (4, 2)), still(**{f"r{mover}": velocity}))
         assert transition.credit.shape == (4,)
         np.testing.assert_allclose(transition.credit[mover], 4 / 2 * transition.reward, atol=1e-4)
 
 
 def test_the_penalty_is_shared_by_those_who_collided_or_left():
-    shared = build(shared=True)
+    world = build(by_robot=True)
     crowd = [[0.0, 0.0], [2.1, 0.0], [9.0, 9.0], [-9.0, -9.0]]
-    _, hit = move(shared, crowd, still(r0=(1.0, 0.0)))
+    _, hit = move(world, crowd, still(r0=(1.0, 0.0)))
     np.testing.assert_array_equal(hit.credit, [-0.75, -0.75, 0.0, 0.0])
-    _, left = move(shared, [[0.0, 0.0], [5.0, 0.0], [9.0, 15.0], [-9.0, -9.0]], still(r2=(0.0, 1.0)))
+    _, left = move(world, [[0.0, 0.0], [5.0, 0.0], [9.0, 15.0], [-9.0, -9.0]], still(r2=(0.0, 1.0)))
     np.testing.assert_array_equal(left.credit, [0.0, 0.0, -0.75, 0.0])
     assert hit.reward == left.reward == -0.75
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from murmurate.cli.arguments import Parser
-from murmurate.errors import InputError
+from murmurate.errors import InputError, UsageError
 
 __all__ = ["run"]
 
@@ -26,10 +26,14 @@ def run(argv: Sequence[str]) -> int:
 
 def _evaluate(folder: Path, episodes: int | None, seed: int | None, starts: str | None, out: str | None) -> int:
     from murmurate.cli import outcome
-    from murmurate.experiments import evaluation, presets, tables
+    from murmurate.experiments import evaluation, presets, storage, tables
     from murmurate.experiments.run import Run, check_draw
     from murmurate.world import check_configurations, read_starts
 
+    if starts is not None and seed is not None:
+        raise UsageError("--seed draws fresh starts: leave it out with --starts")
+    if out is not None and Path(out).resolve() != folder.resolve():
+        storage.look(out)
     count = evaluation.EPISODES if episodes is None else episodes
     seed = evaluation.SEED if seed is None else seed
     check_draw(count, seed)
@@ -45,8 +49,7 @@ def _evaluate(folder: Path, episodes: int | None, seed: int | None, starts: str 
     folder = folder if out is None else opened.copy(out)
     result.save(folder)
     summary = tables.read_evaluation(folder)
-    row = presets.paper_row(opened.experiment) if points is None else None
-    outcome.print_comparison(summary, row)
+    outcome.print_comparison(summary, presets.paper_row(opened.experiment))
     print(f"picture: {outcome.draw(folder)}")
     print(f"record: {folder / evaluation.EVALUATION}, {folder / evaluation.TRAJECTORIES}")
     return 0

@@ -150,7 +150,7 @@ class Discovery:
         train = snapshot.train or self._init(index, snapshot)
         done = int(train.update)
         updates = min(self.problem.discovery.chunk, stage.ppo.updates - done)
-        hyper = _with_array_leaves(Hyperparameters.create(stage.ppo))
+        hyper = Hyperparameters.create(stage.ppo)
         env = Repeated(self._training_world(index, snapshot), jnp.asarray(stage.repeat))
         train, metrics = train_chunk(train, env, hyper, Shape.create(stage.ppo), updates)
         rows = _rows(jax.device_get(metrics), index, done, stage)
@@ -163,9 +163,8 @@ class Discovery:
         config = self.problem.discovery
         index = len(snapshot.policies)
         policies = (*snapshot.policies, policy)
-        starts = self._training_world(index, snapshot).start if index == 0 else None
         # Every policy's sigma* comes from running the whole list so far from where the base policy was trained.
-        source = starts or self._training_world(0, self.begin()).start
+        source = self._training_world(0, self.begin()).start
         sampled = _sample(source, self._draw(index, "sigma"), config.sigma)
         ran = self.cascade(policies).rollout(np.moveaxis(np.asarray(sampled), -1, 0))
         alive = ran.final[~ran.terminated]
@@ -187,7 +186,8 @@ class Discovery:
     def _initial_sigma(self) -> Float[Array, "sigma robots 2"]:
         start, size = self.world.start, self.problem.discovery.sigma
         if isinstance(start, Layouts):
-            return _repeat_to(np.asarray(start.points), size)
+            # Each start of a file as often as every other, and none left out.
+            return _repeat_to(np.asarray(start.points), -(-size // len(start.points)) * len(start.points))
         return jnp.moveaxis(_sample(start, self._draw(0, "initial"), size), -1, 0)
 
     def _training_world(self, index: int, snapshot: Snapshot) -> World:
@@ -200,14 +200,15 @@ class Discovery:
             share = 1.0
         # Where nothing comes from anywhere at random, nothing need fit there: without a radius nothing is redrawn.
         anywhere = {**place, "radius": sizes.radius if share else 0.0}
+        spread = 1.0 if self.problem.start.kind == "random" else stage.random_spread
         start: Start = Mixture(
             Layouts(points=snapshot.sigma, noise=noise, **place),
-            Anywhere(robots=sizes.robots, spread=stage.random_spread, **anywhere),
+            Anywhere(robots=sizes.robots, spread=spread, **anywhere),
             share,
         )
         weights: WeightsConfig = stage.weights
-        shared = self.problem.policy.credit == "robots"
-        return _with_array_leaves(World.create(sizes, start, self.problem.objective, weights, stage.horizon, shared))
+        by_robot = self.problem.policy.credit == "robots"
+        return _with_array_leaves(World.create(sizes, start, self.problem.objective, weights, stage.horizon, by_robot))
 
     def _init(self, index: int, snapshot: Snapshot) -> TrainState:
         policy, value = self.networks(index)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from murmurate.errors import InputError
+from murmurate.errors import GREATEST, MOST, check_number
 from murmurate.world import World
 
 __all__ = ["Cascade", "RestRule", "Trajectories"]
@@ -35,13 +34,10 @@ class RestRule:
     max_steps: int = 300
 
     def __post_init__(self) -> None:
-        if self.window < 1:
-            raise InputError("window", self.window, "an integer >= 1")
+        for name in ("window", "max_steps"):
+            check_number(name, getattr(self, name), 1, MOST, integer=True)
         for name in ("tolerance", "switch_tolerance"):
-            if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0):
-                raise InputError(name, getattr(self, name), "a finite number > 0")
-        if self.max_steps < 1:
-            raise InputError("max_steps", self.max_steps, "an integer >= 1")
+            check_number(name, getattr(self, name), 0, GREATEST, exclusive_low=True)
 
 
 @dataclass(frozen=True)

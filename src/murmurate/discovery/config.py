@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 
-from murmurate.errors import InputError
+from murmurate.errors import GREATEST, MOST, InputError, check_number
 from murmurate.learning import PPOConfig
 from murmurate.world import WeightsConfig
 
@@ -24,7 +23,8 @@ class StageConfig:
         noise: Half-width of the uniform noise on each restart configuration, in robot radii (auxiliary only).
         random_share: Share of training episodes that begin anywhere in the world instead of at the start (base only).
         random_spread: Such an episode's robots lie in two windows, each of at least this share of the world's sides.
-        warm_start: Whether the policy begins with the weights of the one before (auxiliary only); its value is new.
+        warm_start: Whether the policy begins with the weights of the one before, all but the spread of its actions
+            (auxiliary only); its value is new.
     """
 
     weights: WeightsConfig = field(default_factory=WeightsConfig)
@@ -38,14 +38,10 @@ class StageConfig:
 
     def __post_init__(self) -> None:
         for name in ("horizon", "repeat"):
-            if getattr(self, name) < 1:
-                raise InputError(name, getattr(self, name), "an integer >= 1")
-        if not (math.isfinite(self.noise) and self.noise >= 0):
-            raise InputError("noise", self.noise, "a finite number >= 0")
-        if not 0 <= self.random_share <= 1:
-            raise InputError("random_share", self.random_share, "a number from 0 to 1")
-        if not 0 < self.random_spread <= 1:
-            raise InputError("random_spread", self.random_spread, "a number above 0, at most 1")
+            check_number(name, getattr(self, name), 1, MOST, integer=True)
+        check_number("noise", self.noise, 0, GREATEST)
+        check_number("random_share", self.random_share, 0, 1)
+        check_number("random_spread", self.random_spread, 0, 1, exclusive_low=True)
 
     @property
     def steps_per_update(self) -> int:
@@ -75,9 +71,7 @@ class DiscoveryConfig:
 
     def __post_init__(self) -> None:
         for name in ("min_policies", "max_policies", "sigma", "episodes", "chunk"):
-            if getattr(self, name) < 1:
-                raise InputError(name, getattr(self, name), "an integer >= 1")
+            check_number(name, getattr(self, name), 1, MOST, integer=True)
         if self.max_policies < self.min_policies:
             raise InputError("max_policies", self.max_policies, f"at least min_policies = {self.min_policies}")
-        if not 0 <= self.required_valid <= 1:
-            raise InputError("required_valid", self.required_valid, "a number from 0 to 1")
+        check_number("required_valid", self.required_valid, 0, 1)

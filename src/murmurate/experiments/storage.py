@@ -304,7 +304,7 @@ def verify(folder: str | Path, manifest: Mapping[str, Any]) -> None:
     if not isinstance(recorded, dict):
         raise RunError(f"{Path(folder) / MANIFEST} has no checksums")
     for name, checksum in recorded.items():
-        if Path(name).is_absolute() or ".." in Path(name).parts:
+        if "\0" in name or Path(name).is_absolute() or ".." in Path(name).parts:
             raise RunError(f"{Path(folder) / MANIFEST} names a file outside the run: {name}")
         if _checksum(Path(folder) / name) != checksum:
             raise RunError(f"{Path(folder) / name} does not match its checksum in {MANIFEST}")

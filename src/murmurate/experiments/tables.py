@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -44,17 +45,18 @@ def comparison(summary: Mapping[str, Any], row: PaperExperiment | None) -> tuple
 
     Args:
         summary: The contents of evaluation.json.
-        row: The paper's experiment; None when it has none like this.
+        row: The paper's experiment; None when it has none like this. From other starts it does not compare.
 
     Returns:
         The header and the rows.
     """
+    row = row if summary["starts"] == FRESH else None
     header = (f"{summary['episodes']} {summary['starts']} starts", "paper", "this run")
     paper = (
         (f"{row.base_steps:.2f}", f"{row.auxiliary_steps:.2f}", paper_total(row)) if row is not None else (NONE,) * 3
     )
     steps = [f"{summary[name]:.2f}" for name in ("base_steps", "auxiliary_steps", "total_steps")]
-    low, high = summary["valid_interval"]
+    low, high = (math.nan if end is None else end for end in summary["valid_interval"])
     valid = f"{_count(summary, 'valid')} (95%: {100 * low:.1f}-{100 * high:.1f}%)"
     return header, [
         ("base steps", paper[0], steps[0]),
@@ -88,7 +90,7 @@ def _result(folder: Path) -> Row:
     try:
         policies = str(len(manifest["policies"]))
         training = f"{manifest['environment_steps'] / 1e6:.2f} M", f"{manifest['train_seconds']:.0f} s"
-    except (KeyError, TypeError) as error:
+    except (KeyError, TypeError, ValueError) as error:
         raise RunError(f"{folder / storage.MANIFEST} is incomplete: {error}") from None
     return (
         config.name,
@@ -121,6 +123,11 @@ def read_evaluation(folder: str | Path) -> dict[str, Any]:
     missing = needed - (summary.keys() if isinstance(summary, dict) else set())
     if missing:
         raise RunError(f"{path} lacks {min(missing)}: make it again with murmurate evaluate {folder}")
+    interval = summary["valid_interval"]
+    pair = interval if isinstance(interval, list) and len(interval) == 2 else [""]
+    numbers = [summary[name] for name in needed - {"starts", "valid_interval"}] + pair
+    if not all(value is None or isinstance(value, int | float) for value in numbers):
+        raise RunError(f"{path} holds what is no number: make it again with murmurate evaluate {folder}")
     # What could not be computed, because a training went astray, is null.
     return {name: float("nan") if value is None else value for name, value in summary.items()}
 
@@ -133,7 +140,8 @@ def paper_total(row: PaperExperiment) -> str:
 
 
 def _count(summary: Mapping[str, Any], name: str) -> str:
-    return f"{round(summary[name] * summary['episodes'])} of {summary['episodes']}"
+    count = summary[name] * summary["episodes"]
+    return NONE if math.isnan(count) else f"{round(count)} of {summary['episodes']}"
 
 
 def _times(summary: Mapping[str, Any]) -> str:

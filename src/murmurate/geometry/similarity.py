@@ -9,7 +9,7 @@ with the mirror image of q tried as well for `reflection`. Moving, turning, rela
 d is a metric on patterns. It is found exactly, for symmetric patterns too: in any one direction the best relabelling is
 a linear assignment, and few directions need be looked at (`_best`).
 
-NumPy only, in float64: patterns are compared by the hundred, not by the million.
+NumPy and SciPy, in float64: patterns are compared by the hundred, not by the million.
 """
 
 from __future__ import annotations

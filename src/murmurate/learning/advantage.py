@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import jax
+import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 __all__ = ["generalized_advantage", "rewards_to_go"]
@@ -36,7 +37,7 @@ def generalized_advantage(
     """
     delta = reward + discount * next_value * ~terminated - value
     carry_on = discount * gae_lambda * ~(terminated | truncated)
-    return _backward_sum(delta, carry_on, delta[0] * 0)
+    return _backward_sum(delta, carry_on)
 
 
 def rewards_to_go(reward: Trajectories, next_value: Trajectories, terminated: Flags, truncated: Flags) -> Trajectories:
@@ -47,12 +48,12 @@ def rewards_to_go(reward: Trajectories, next_value: Trajectories, terminated: Fl
     """
     cut = truncated.at[-1].set(True) & ~terminated
     carry_on = (~(terminated | cut)).astype(reward.dtype)
-    return _backward_sum(reward + next_value * cut, carry_on, reward[0] * 0)
+    return _backward_sum(reward + next_value * cut, carry_on)
 
 
-def _backward_sum(term: Trajectories, carry_on: Trajectories, last: Float[Array, "*batch"]) -> Trajectories:
+def _backward_sum(term: Trajectories, carry_on: Trajectories) -> Trajectories:
     def back(later: Array, now: tuple[Array, Array]) -> tuple[Array, Array]:
         total = now[0] + now[1] * later
         return total, total
 
-    return jax.lax.scan(back, last, (term, carry_on), reverse=True)[1]
+    return jax.lax.scan(back, jnp.zeros_like(term[0]), (term, carry_on), reverse=True)[1]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
@@ -11,12 +10,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from murmurate.errors import InputError
+from murmurate.errors import MOST, InputError, check_choice, check_number
 
 __all__ = ["Exploration", "Hyperparameters", "PPOConfig", "Schedule", "Shape", "ValueTarget"]
 
 ValueTarget = Literal["gae", "rewards-to-go"]
 Exploration = Literal["learned", "scheduled"]
+_FINITE = 1e30  # still a number in float32
 
 
 @dataclass(frozen=True)
@@ -68,27 +68,21 @@ class PPOConfig:
 
     def __post_init__(self) -> None:
         for name in ("updates", "worlds", "steps", "epochs", "minibatches"):
-            if getattr(self, name) < 1:
-                raise InputError(name, getattr(self, name), "an integer >= 1")
+            check_number(name, getattr(self, name), 1, MOST, integer=True)
         if (self.worlds * self.steps) % self.minibatches:
             raise InputError(
                 "minibatches", self.minibatches, f"a divisor of worlds * steps = {self.worlds * self.steps}"
             )
         for name in ("discount", "gae_lambda"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise InputError(name, getattr(self, name), "a number from 0 to 1")
+            check_number(name, getattr(self, name), 0, 1)
         for name in ("policy_rate", "policy_rate_end", "value_rate", "value_rate_end"):
-            if not (math.isfinite(getattr(self, name)) and getattr(self, name) >= 0):
-                raise InputError(name, getattr(self, name), "a finite number >= 0")
+            check_number(name, getattr(self, name), 0, _FINITE)
         for name in ("clip", "clip_end", "reward_scale", "max_gradient"):
-            if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0):
-                raise InputError(name, getattr(self, name), "a finite number > 0")
+            check_number(name, getattr(self, name), 0, _FINITE, exclusive_low=True)
         for name in ("log_std", "log_std_end"):
-            if not math.isfinite(getattr(self, name)):
-                raise InputError(name, getattr(self, name), "a finite number")
-        for name, choices in (("value_target", get_args(ValueTarget)), ("exploration", get_args(Exploration))):
-            if getattr(self, name) not in choices:
-                raise InputError(name, getattr(self, name), f"one of {', '.join(choices)}")
+            check_number(name, getattr(self, name), -20, 20)
+        check_choice("value_target", self.value_target, get_args(ValueTarget))
+        check_choice("exploration", self.exploration, get_args(Exploration))
 
 
 class Schedule(eqx.Module):

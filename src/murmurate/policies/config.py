@@ -19,7 +19,7 @@ class PolicyConfig:
 
     Attributes:
         kind: central (the paper's: one network over all positions) or equivariant (shared by all robots).
-        hidden: Widths of the tanh layers (central), or of the edge and node layers (equivariant).
+        hidden: Widths of the tanh layers (central), or of the node and edge layers (equivariant).
         basis: Number of radial basis functions (equivariant).
         credit: Who answers for a step while learning: every robot for its own velocity, by its share of the objective,
             or the swarm as one (the paper's; central only).
@@ -35,6 +35,8 @@ class PolicyConfig:
             raise InputError("kind", self.kind, f"one of {', '.join(get_args(PolicyKind))}")
         if not self.hidden or min(self.hidden) < 1:
             raise InputError("hidden", self.hidden, "one or more integers >= 1")
+        if self.kind == "equivariant" and len(self.hidden) > 2:
+            raise InputError("hidden", self.hidden, "at most two widths for equivariant: nodes, edges")
         if self.basis < 2:
             raise InputError("basis", self.basis, "an integer >= 2")
         if self.credit not in get_args(Credit):

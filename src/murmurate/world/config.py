@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-from murmurate.errors import InputError
+from murmurate.errors import GREATEST, InputError, check_number
 
 __all__ = ["Safety", "WorldConfig"]
 
@@ -43,12 +42,9 @@ class WorldConfig:
         if self.robots < 2:
             raise InputError("robots", self.robots, "an integer >= 2")
         for name in ("half_width", "half_height", "radius", "scan_radius", "safe_distance", "max_speed"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0):
-                raise InputError(name, value, "a finite number > 0")
+            check_number(name, getattr(self, name), 0, GREATEST, exclusive_low=True)
         if self.safe_distance <= 2 * self.radius:
             raise InputError("safe_distance", self.safe_distance, f"more than two radii ({2 * self.radius:g})")
-        if not (math.isfinite(self.collision_penalty) and self.collision_penalty >= 0):
-            raise InputError("collision_penalty", self.collision_penalty, "a finite number >= 0")
+        check_number("collision_penalty", self.collision_penalty, 0, GREATEST)
         if self.safety not in get_args(Safety):
             raise InputError("safety", self.safety, f"one of {', '.join(get_args(Safety))}")

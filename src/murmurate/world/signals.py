@@ -5,14 +5,13 @@ Like the geometry, these kernels take `(robots, 2, *batch)` and work in NumPy or
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
 import equinox as eqx
 from jaxtyping import Bool, Float
 
-from murmurate.errors import InputError
+from murmurate.errors import GREATEST, InputError, check_number
 from murmurate.geometry import distances, hides, neighbors_and_visible
 from murmurate.geometry.visibility import Array, as_configuration
 
@@ -40,9 +39,7 @@ class WeightsConfig:
 
     def __post_init__(self) -> None:
         for name in ("gathering", "safety", "neighbors", "visible"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value >= 0):
-                raise InputError(name, value, "a finite number >= 0")
+            check_number(name, getattr(self, name), 0, GREATEST)
 
 
 class Objective(eqx.Module):

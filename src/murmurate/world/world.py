@@ -60,7 +60,7 @@ class World(eqx.Module):
 
     robots: int = eqx.field(static=True)
     safety: str = eqx.field(static=True)
-    shared: bool = eqx.field(static=True)
+    by_robot: bool = eqx.field(static=True)
     half_width: Any
     half_height: Any
     radius: Any
@@ -80,7 +80,7 @@ class World(eqx.Module):
         objective: str = "C1",
         weights: WeightsConfig | None = None,
         horizon: int = 400,
-        shared: bool = False,
+        by_robot: bool = False,
     ) -> World:
         """Builds a world.
 
@@ -90,7 +90,7 @@ class World(eqx.Module):
             objective: C1 (gathering at the origin) or C2 (at no predefined point).
             weights: Weights of the signals, by default all 1.
             horizon: Steps after which an episode is truncated.
-            shared: Whether credit is given robot by robot, by each one's share of the objective.
+            by_robot: Whether credit is given robot by robot, by each one's share of the objective.
 
         Raises:
             InputError: There is no such objective.
@@ -98,7 +98,7 @@ class World(eqx.Module):
         return cls(
             robots=config.robots,
             safety=config.safety,
-            shared=shared,
+            by_robot=by_robot,
             half_width=config.half_width,
             half_height=config.half_height,
             radius=config.radius,
@@ -127,7 +127,7 @@ class World(eqx.Module):
         return signals(positions, **self._measures())
 
     def _standing(self, positions: Any, objective: Any) -> Any:
-        return self.objective(shares(positions, **self._measures())) if self.shared else objective[None]
+        return self.objective(shares(positions, **self._measures())) if self.by_robot else objective[None]
 
     def state(self, positions: Float[Array, "robots 2 *batch"]) -> State:
         """Returns the state at the beginning of an episode from the given configurations."""
@@ -156,7 +156,7 @@ class World(eqx.Module):
         touching = touches(state.positions, velocities, self.radius)
         culprits = touching | outside(positions, self.half_width, self.half_height)
         terminated = jnp.any(culprits, axis=0)
-        blamed = culprits if self.shared else terminated[None]
+        blamed = culprits if self.by_robot else terminated[None]
         credit = jnp.where(terminated, -self.collision_penalty * blamed, standing - state.standing)
         reward = jnp.where(terminated, -self.collision_penalty, objective - state.objective)
         step = state.step + 1
