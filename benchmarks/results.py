@@ -19,13 +19,13 @@ from murmurate import view
 from murmurate.discovery import bound_steps, judge
 from murmurate.experiments import tables
 from murmurate.experiments.config import check_same
+from murmurate.experiments.evaluation import EPISODES
+from murmurate.experiments.paper import EXPERIMENTS
 from murmurate.experiments.presets import preset
 from murmurate.experiments.run import Run
-from murmurate.world import StartConfig, make_start
+from murmurate.world import StartConfig, draw_starts, make_start
 
-EXPERIMENTS = "ABCDEF"
 POLICIES = ("equivariant", "central")
-EPISODES = 200
 
 # Every experiment's cascade is tried from every one of these; each experiment was trained on one of the layouts.
 OTHER_STARTS = {
@@ -52,7 +52,7 @@ def other_starts(run: Run) -> list[str]:
     cells = []
     for place, config in enumerate(OTHER_STARTS.values()):
         key = jax.random.key(10_000 + place)
-        points = np.moveaxis(np.asarray(make_start(replace(config), world).sample(key, EPISODES)), -1, 0)
+        points = draw_starts(make_start(config, world), key, EPISODES)
         ran = run.rollout(points)
         verdict = judge(ran, world)
         bound = np.mean([bound_steps(a, b, world.max_speed) for a, b in zip(points, ran.final, strict=True)])
@@ -102,6 +102,8 @@ seconds are of this page's runs: two single-threaded processes side by side on t
 
 {results}
 ![The patterns that the equivariant policy found in experiments A to F](figures/patterns.png)
+
+The ways are coloured by the policy in charge: the base policy's blue, the auxiliary policy's green, a third one's pink.
 
 ## Other starts
 

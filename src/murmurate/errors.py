@@ -78,7 +78,7 @@ def check_number(
     if low is not None:
         bounds.append(f"{'>' if exclusive_low else '>='} {low:g}")
     if high is not None:
-        bounds.append(f"<= {high:g}")
+        bounds.append(f"<= {high if integer else format(high, 'g')}")
     number = math.nan
     if isinstance(value, Integral if integer else Real) and not isinstance(value, bool):
         with contextlib.suppress(OverflowError):

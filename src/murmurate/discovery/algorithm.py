@@ -25,6 +25,7 @@ from murmurate.world import (
     WeightsConfig,
     World,
     WorldConfig,
+    draw_starts,
     make_start,
 )
 
@@ -165,8 +166,7 @@ class Discovery:
         policies = (*snapshot.policies, policy)
         # Every policy's sigma* comes from running the whole list so far from where the base policy was trained.
         source = self._training_world(0, self.begin()).start
-        sampled = _sample(source, self._draw(index, "sigma"), config.sigma)
-        ran = self.cascade(policies).rollout(np.moveaxis(np.asarray(sampled), -1, 0))
+        ran = self.cascade(policies).rollout(draw_starts(source, self._draw(index, "sigma"), config.sigma))
         alive = ran.final[~ran.terminated]
         valid = self.validity(policies, self._draw(index, "evaluation"))
         complete = len(policies) >= config.min_policies and valid >= config.required_valid
@@ -176,7 +176,7 @@ class Discovery:
 
     def validity(self, policies: tuple[Any, ...], key: PRNGKeyArray) -> float:
         """Returns the share of fresh episodes from (S_0, epsilon) in which the list forms a valid pattern."""
-        starts = np.moveaxis(np.asarray(_sample(self.world.start, key, self.problem.discovery.episodes)), -1, 0)
+        starts = draw_starts(self.world.start, key, self.problem.discovery.episodes)
         return float(judge(self.cascade(policies).rollout(starts), self.problem.world).valid.mean())
 
     def _draw(self, index: int, purpose: str) -> PRNGKeyArray:
@@ -188,7 +188,7 @@ class Discovery:
         if isinstance(start, Layouts):
             # Each start of a file as often as every other, and none left out.
             return _repeat_to(np.asarray(start.points), -(-size // len(start.points)) * len(start.points))
-        return jnp.moveaxis(_sample(start, self._draw(0, "initial"), size), -1, 0)
+        return jnp.asarray(draw_starts(start, self._draw(0, "initial"), size))
 
     def _training_world(self, index: int, snapshot: Snapshot) -> World:
         """The world that a policy trains in: base and auxiliary differ in numbers only, so one compilation serves."""
@@ -225,13 +225,6 @@ class Discovery:
 
 
 # Outside of a jit, the loop that redraws overlaps would be compiled anew at every call.
-
-
-@eqx.filter_jit
-def _sample(start: Start, key: PRNGKeyArray, batch: int) -> Float[Array, "robots 2 batch"]:
-    return start.sample(key, batch)
-
-
 @eqx.filter_jit
 def _reset(world: World, key: PRNGKeyArray, batch: int) -> Any:
     return world.reset_batch(key, batch)

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
@@ -18,7 +17,7 @@ from murmurate.experiments import config as configuration
 from murmurate.experiments import storage, trees
 from murmurate.experiments.checkpoint import policy_templates
 from murmurate.experiments.config import ExperimentConfig
-from murmurate.world import Start, World, check_configurations
+from murmurate.world import World, check_configurations, draw_starts
 
 __all__ = ["MAX_EPISODES", "METRICS", "Run", "check_draw", "policy_files"]
 
@@ -88,7 +87,7 @@ class Run:
         check_draw(episodes, key)
         if isinstance(key, int | np.integer):
             key = jax.random.fold_in(jax.random.key(int(key)), _HELD_OUT)
-        return np.moveaxis(np.asarray(_sample(self.world.start, key, int(episodes))), -1, 0)
+        return draw_starts(self.world.start, key, int(episodes))
 
     def rollout(self, starts: int | Float[Array, " ..."] | Any = 1, key: int | PRNGKeyArray = 0) -> Trajectories:
         """Executes the cascade.
@@ -131,11 +130,6 @@ class Run:
                 storage.make_folder(target.parent)
                 storage.write_bytes(target, source.read_bytes())
         return folder
-
-
-@eqx.filter_jit
-def _sample(start: Start, key: PRNGKeyArray, batch: int) -> Float[Array, "robots 2 batch"]:
-    return start.sample(key, batch)
 
 
 def check_draw(episodes: int, key: int | PRNGKeyArray) -> None:

@@ -34,6 +34,7 @@ __all__ = [
     "Start",
     "StartConfig",
     "check_configurations",
+    "draw_starts",
     "layout",
     "make_start",
     "read_starts",
@@ -168,6 +169,17 @@ class Mixture(Start):
         coin, first, second = jax.random.split(key, 3)
         other = jax.random.uniform(coin, (batch,)) < self.share
         return jnp.where(other, self.second.sample(second, batch, rounds), self.first.sample(first, batch, rounds))
+
+
+def draw_starts(start: Start, key: PRNGKeyArray, count: int) -> Float[np.ndarray, "starts robots 2"]:
+    """Draws configurations, world units, as files and rollouts have them: one after another."""
+    return np.moveaxis(np.asarray(_draw(start, key, count)), -1, 0)
+
+
+# Outside of a jit, the loop that redraws overlaps would be compiled anew at every call.
+@eqx.filter_jit
+def _draw(start: Start, key: PRNGKeyArray, count: int) -> Float[Array, "robots 2 starts"]:
+    return start.sample(key, count)
 
 
 def _touches_earlier(positions: Float[Array, "robots 2 batch"], radius: Any) -> Any:
