@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from murmurate.errors import InputError
-from murmurate.geometry.similarity import align, canonical, distance, lower_bound
+from murmurate.geometry.similarity import align, canonical, configuration, distance, lower_bound, profile
 
 COORDINATES = st.floats(-10, 10, allow_subnormal=False)
 CHOICES = list(itertools.product((False, True), (False, True)))
@@ -131,6 +131,41 @@ def test_it_is_a_distance(three, choice):
     assert lower_bound(first, second, scaling=choice[0]) <= ab + 1e-7
 
 
+@given(
+    st.integers(1, 7).flatmap(lambda n: st.tuples(configurations(n), configurations(n))),
+    st.sampled_from(CHOICES),
+    st.floats(0, 2),
+)
+def test_beyond_a_limit_the_distance_is_only_said_to_be_beyond(pair, choice, times):
+    how = {"scaling": choice[0], "reflection": choice[1]}
+    whole = distance(*pair, **how)
+    limit = times * whole
+    within = distance(*pair, **how, limit=limit)
+    if limit < whole - 1e-7:
+        assert within == math.inf
+    elif limit > whole + 1e-7:
+        assert within == pytest.approx(whole, abs=1e-7)
+
+
+@pytest.mark.parametrize("limit", [0.05, 0.2, 0.4])
+def test_a_limit_does_not_change_distances_within_it(limit):
+    rng = np.random.default_rng(2)
+    pattern, inside = np.vstack([ring(9), [[0, 0]]]), 0
+    for _ in range(40):
+        pair = pattern, moved(pattern, rng) + rng.normal(size=pattern.shape) * rng.uniform(0, 0.5)
+        whole, within = distance(*pair), distance(*pair, limit=limit)
+        assert within == (whole if whole <= limit else math.inf)
+        inside += whole <= limit
+    assert 0 < inside < 40
+
+
+@pytest.mark.parametrize("scaling", [False, True])
+def test_profiles_are_as_far_apart_as_the_lower_bound(scaling):
+    first, second = np.random.default_rng(4).normal(size=(2, 6, 2))
+    profiles = profile(first, scaling=scaling) - profile(second, scaling=scaling)
+    assert math.sqrt(np.mean(profiles**2)) == pytest.approx(lower_bound(first, second, scaling=scaling))
+
+
 @given(st.integers(2, 7).flatmap(configurations), st.sampled_from(CHOICES))
 def test_a_canonical_form_is_its_own(points, choice):
     how = {"scaling": choice[0], "reflection": choice[1]}
@@ -148,9 +183,12 @@ def test_coincident_robots_and_huge_coordinates_are_defined():
     assert distance(ring(5) + 1e6, ring(5)) < 1e-9
 
 
-@pytest.mark.parametrize("bad", [np.zeros(4), np.zeros((3, 3)), np.zeros((0, 2)), np.full((2, 2), np.nan)])
+NO_NUMBERS = ([[1.0], [1.0, 2.0]], [["1", "2"]], [[True, False]], [[None, 1.0]], [[1 << 70, 0]], "text", None, {})
+
+
+@pytest.mark.parametrize("bad", [np.zeros(4), np.zeros((3, 3)), np.zeros((0, 2)), np.full((2, 2), np.nan), *NO_NUMBERS])
 def test_no_such_configuration(bad):
-    for call in (canonical, lambda x: distance(x, x), lambda x: lower_bound(x, x)):
+    for call in (configuration, canonical, profile, lambda x: distance(x, x), lambda x: lower_bound(x, x)):
         with pytest.raises(InputError, match=r"^positions = "):
             call(bad)
 

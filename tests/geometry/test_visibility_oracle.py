@@ -8,6 +8,7 @@ import pytest
 import shapely
 
 from murmurate import geometry
+from murmurate.errors import InputError
 from oracles import visibility as oracle
 from oracles.configurations import CONFIGURATIONS, disjoint, scenes
 
@@ -81,3 +82,29 @@ def test_the_oracle_follows_the_definition():
     np.testing.assert_array_equal(expected[decided], clearance[decided] < 0)
     assert decided.mean() > 0.99
     assert 0.1 < expected.mean() < 0.9
+
+
+def test_the_drawn_shadow_is_the_polygon():
+    robots, radius = 4, 1.0
+    for positions in disjoint(np.random.default_rng(1), 50, robots, radius, side=12.0).astype(np.float64):
+        expected = oracle.shadows(positions, radius)
+        reach = 4 * (np.ptp(positions, axis=0).max() + radius)  # where the oracle's polygons end
+        for k, j in np.argwhere(~np.eye(robots, dtype=bool)):
+            corners = geometry.shadow(positions[k], positions[j], radius, reach)
+            assert shapely.hausdorff_distance(shapely.Polygon(corners), expected[k, j]) < 1e-9 * reach
+            np.testing.assert_allclose(np.hypot(*(corners - positions[j]).T)[[0, 3]], radius, rtol=1e-12)
+            np.testing.assert_allclose(np.hypot(*(corners - positions[k]).T)[[1, 2]], reach, rtol=1e-12)
+            assert not shapely.is_ccw(shapely.LinearRing(corners))
+
+
+@pytest.mark.parametrize("occluder", [(0.0, 0.0), (0.6, 0.8), (np.nan, 0.0), (np.inf, 0.0)])
+def test_no_shadow_of_a_robot_over_the_light(occluder):
+    with pytest.raises(InputError, match="occluder"):
+        geometry.shadow(np.zeros(2), np.array(occluder), 1.0, 10.0)
+
+
+@pytest.mark.parametrize("reach", [1.7, np.nan, np.inf])
+def test_a_shadow_reaches_beyond_the_tangents_points_of_contact(reach):
+    assert len(geometry.shadow(np.zeros(2), np.array([2.0, 0.0]), 1.0, 1.74)) == 4
+    with pytest.raises(InputError, match="reach"):
+        geometry.shadow(np.zeros(2), np.array([2.0, 0.0]), 1.0, reach)

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from murmurate import geometry
 
@@ -127,3 +128,22 @@ def _make_run():
 @pytest.fixture(scope="session")
 def run(tmp_path_factory):
     return make_run(tmp_path_factory.mktemp("runs") / "C")
+
+
+def check_labels(figure):
+    """Asserts that all words outside of legends lie on the page and none on others; returns how many there are."""
+    FigureCanvasAgg(figure).draw()
+    texts = [text for ax in figure.axes for text in (*ax.texts, ax.title, ax.xaxis.label, ax.yaxis.label)]
+    boxes = [text.get_window_extent() for text in (*figure.texts, *texts) if text.get_text()]
+    boxes = [box for box in boxes if box.width > 0]
+    for place, box in enumerate(boxes):
+        assert min(box.x0, box.y0) >= 0
+        assert box.x1 <= figure.bbox.width
+        assert box.y1 <= figure.bbox.height
+        assert not any(box.overlaps(other) for other in boxes[place + 1 :])
+    return len(boxes)
+
+
+@pytest.fixture(scope="session", name="check_labels")
+def _check_labels():
+    return check_labels

@@ -13,9 +13,9 @@ from PIL import Image
 
 from murmurate import geometry, view
 from murmurate.errors import InputError, RunError
-from murmurate.view.curves import _spread
-from murmurate.view.drawing import WARNING, show_window
-from murmurate.view.palette import limited
+from murmurate.view.drawing import show_window
+from murmurate.view.page import spread
+from murmurate.view.palette import WARNING, limited
 
 ROW = np.array([[0.0, 0.0], [6.0, 0.0], [12.0, 0.0], [40.0, 0.0]])
 
@@ -143,9 +143,9 @@ def test_labels_within_the_figure_and_apart(run):
 
 
 def test_labels_spread_only_as_far_as_they_must():
-    assert _spread([0.2, 0.8], [0.1, 0.1], gap=0.02) == pytest.approx([0.2, 0.8])
-    assert _spread([0.5, 0.52], [0.1, 0.1], gap=0.02) == pytest.approx([0.5, 0.62])
-    assert _spread([0.9, 0.98], [0.1, 0.1], gap=0.02) == pytest.approx([0.83, 0.95])
+    assert spread([0.2, 0.8], [0.1, 0.1], gap=0.02) == pytest.approx([0.2, 0.8])
+    assert spread([0.5, 0.52], [0.1, 0.1], gap=0.02) == pytest.approx([0.5, 0.62])
+    assert spread([0.9, 0.98], [0.1, 0.1], gap=0.02) == pytest.approx([0.83, 0.95])
 
 
 @pytest.mark.parametrize(("count", "size"), [(1, (10.0, 4.12)), (3, (10.0, 4.12)), (5, (10.0, 8.14))])

@@ -17,7 +17,16 @@ from murmurate.geometry.contact import (
     outside,
     touches,
 )
-from murmurate.geometry.visibility import Counts, counts, hides, neighbors, neighbors_and_visible, occluded, visible
+from murmurate.geometry.visibility import (
+    Counts,
+    counts,
+    hides,
+    neighbors,
+    neighbors_and_visible,
+    occluded,
+    shadow,
+    visible,
+)
 
 __all__ = [
     "Counts",
@@ -33,6 +42,7 @@ __all__ = [
     "neighbors_and_visible",
     "occluded",
     "outside",
+    "shadow",
     "touches",
     "visible",
 ]

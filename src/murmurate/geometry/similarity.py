@@ -25,7 +25,7 @@ from scipy.optimize import linear_sum_assignment
 
 from murmurate.errors import InputError
 
-__all__ = ["Match", "align", "canonical", "distance", "lower_bound"]
+__all__ = ["Match", "align", "canonical", "configuration", "distance", "lower_bound", "profile"]
 
 ROUNDING = 1e-14
 """Differences of overlaps that are only rounding, relative to the sum of all products."""
@@ -49,15 +49,30 @@ class Match(NamedTuple):
     order: Int[np.ndarray, " robots"]
 
 
+def configuration(positions: Points) -> Points:
+    """Returns a configuration in float64.
+
+    Raises:
+        InputError: It is no configuration of finite numbers.
+    """
+    allowed = "finite numbers of shape (robots, 2)"
+    try:
+        points = np.asarray(positions)
+    except ValueError:  # NumPy's error for rows of different lengths
+        raise InputError("positions", type(positions).__name__, allowed) from None
+    shaped = points.ndim == 2 and points.shape[1] == 2 and len(points) > 0
+    if points.dtype.kind not in "iuf" or not shaped or not np.isfinite(points).all():
+        raise InputError("positions", points.shape, allowed)
+    return points.astype(float)
+
+
 def normalized(positions: Points, scaling: bool = True) -> Complex[np.ndarray, " robots"]:
     """Returns a configuration as complex numbers around its centroid, with unit root mean square radius for `scaling`.
 
     Raises:
         InputError: It is no configuration of finite numbers.
     """
-    points = np.asarray(positions, float)
-    if points.ndim != 2 or points.shape[1] != 2 or not len(points) or not np.isfinite(points).all():
-        raise InputError("positions", points.shape, "finite numbers of shape (robots, 2)")
+    points = configuration(positions)
     # Scaled down before centring, so that huge coordinates do not overflow when squared.
     largest = np.abs(points).max() or 1.0
     z = (points[:, 0] + 1j * points[:, 1]) / largest
@@ -69,7 +84,9 @@ def normalized(positions: Points, scaling: bool = True) -> Complex[np.ndarray, "
     return z / radius if radius > 1e-12 else np.zeros_like(z)
 
 
-def distance(first: Points, second: Points, *, scaling: bool = True, reflection: bool = True) -> float:
+def distance(
+    first: Points, second: Points, *, scaling: bool = True, reflection: bool = True, limit: float = math.inf
+) -> float:
     """Measures how far two configurations are from being the same pattern.
 
     Args:
@@ -77,27 +94,33 @@ def distance(first: Points, second: Points, *, scaling: bool = True, reflection:
         second: The other's; as many.
         scaling: Whether size does not matter; the distance is then in root mean square radii, else in world units.
         reflection: Whether mirror images are the same pattern.
+        limit: The greatest distance of interest: the search for the best way ends once it is known to be beyond.
 
     Returns:
-        The root mean square distance of the robots, laid onto each other in the best way.
+        The root mean square distance of the robots, laid onto each other in the best way; inf beyond the limit.
 
     Raises:
         InputError: The swarms differ in number, or a position is not finite.
     """
-    return align(first, second, scaling=scaling, reflection=reflection).distance
+    p, q = _pair(first, second, scaling)
+    found = _nearest(p, q, reflection, limit).distance
+    return found if found <= limit else math.inf
 
 
 def align(first: Points, second: Points, *, scaling: bool = True, reflection: bool = True) -> Match:
     """Finds the best way to lay one configuration onto another; see `distance`."""
-    p, q = _pair(first, second, scaling)
-    matches = [_best(p, z, mirrored) for mirrored, z in ((False, q), (True, q.conj()))[: 2 if reflection else 1]]
-    return min(matches, key=lambda match: match.distance)
+    return _nearest(*_pair(first, second, scaling), reflection)
 
 
 def lower_bound(first: Points, second: Points, *, scaling: bool = True) -> float:
     """Returns a number that `distance` is never below, from the robots' distances to the centroid alone: fast."""
-    p, q = _pair(first, second, scaling)
-    return float(np.sqrt(np.mean((np.sort(np.abs(p)) - np.sort(np.abs(q))) ** 2)))
+    p, q = (np.sort(np.abs(z)) for z in _pair(first, second, scaling))
+    return float(np.sqrt(np.mean((p - q) ** 2)))
+
+
+def profile(positions: Points, *, scaling: bool = True) -> Float[np.ndarray, " robots"]:
+    """Returns the robots' distances to the centroid in order: two root mean square apart by their `lower_bound`."""
+    return np.sort(np.abs(normalized(positions, scaling)))
 
 
 def _pair(first: Points, second: Points, scaling: bool) -> tuple[Any, Any]:
@@ -150,14 +173,25 @@ def _arc(begin: float, first: complex, end: float, second: complex) -> _Arc:
     return _Arc(-max(abs(corner), abs(first), abs(second)), begin, first, end, second)
 
 
-def _best(p: Complex[np.ndarray, " robots"], q: Complex[np.ndarray, " robots"], mirrored: bool) -> Match:
-    """Turns and relabels q so that it overlaps p best.
+def _nearest(p: Any, q: Any, reflection: bool, limit: float = math.inf) -> Match:
+    """Lays q onto p, mirrored for `reflection` if that is better; not in the best way if that is beyond the limit."""
+    match = _best(p, q, False, limit)
+    if reflection:
+        image = _best(p, q.conj(), True, min(limit, match.distance))
+        match = min(match, image, key=lambda match: match.distance)
+    return match
+
+
+def _best(p: Any, q: Any, mirrored: bool, limit: float) -> Match:
+    """Turns and relabels q so that it overlaps p best, or in any way if none brings it within the limit.
 
     A relabelling s overlaps by c(s) = mean of p_i conj(q_s(i)), best when q is turned by the argument of c(s): then by
     |c(s)|. A linear assignment finds the c(s) farthest in any one direction: a corner of the convex hull of all of
     them. The farthest from 0 is a corner as well, so corners are found between those that are known, first where
     their supporting lines leave room for the farthest.
     """
+    # |p - q|^2 = |p|^2 + |q|^2 - 2 |c|: a shorter c is beyond the limit.
+    least = (np.mean(np.abs(p) ** 2) + np.mean(np.abs(q) ** 2) - limit**2) / 2
     products = p[:, None] * q.conj()[None] / len(p)
     tolerance = ROUNDING * float(np.abs(products).sum())
     best, order = 0j, np.arange(len(p))
@@ -174,7 +208,7 @@ def _best(p: Complex[np.ndarray, " robots"], q: Complex[np.ndarray, " robots"], 
     ends = [*quarters[1:], (2 * math.pi, quarters[0][1])]
     queue = [_arc(*begin, *end) for begin, end in zip(quarters, ends, strict=True)]
     heapq.heapify(queue)
-    while queue and -queue[0].minus_bound > abs(best) + tolerance:
+    while queue and -queue[0].minus_bound > max(abs(best) + tolerance, least - tolerance):
         _, begin, first, end, second = heapq.heappop(queue)
         chord = second - first
         if abs(chord) <= tolerance:

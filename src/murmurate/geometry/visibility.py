@@ -15,6 +15,7 @@ JAX in, JAX out. The batch stands last because it is the axis that the machine's
 from __future__ import annotations
 
 import functools
+import math
 import operator
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -22,7 +23,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-__all__ = ["Counts", "counts", "hides", "neighbors", "occluded", "visible"]
+from murmurate.errors import InputError
+
+__all__ = ["Counts", "counts", "hides", "neighbors", "occluded", "shadow", "visible"]
 
 Array = Any  # a NumPy or a JAX array: the kernels use only what both have
 
@@ -122,6 +125,40 @@ def _occluded(xp: Any, dx: Any, dy: Any, distance: Any, radius: float) -> Any:
     # One robot after another instead of a reduction over a third axis: no N^3 array, and XLA's CPU backend vectorises
     # this along the batch, which it does not do for a reduction over a middle axis.
     return functools.reduce(operator.or_, map(_shadows(xp, dx, dy, distance, radius), range(distance.shape[0])))
+
+
+def shadow(
+    observer: Float[np.ndarray, "2"], occluder: Float[np.ndarray, "2"], radius: float, reach: float
+) -> Float[np.ndarray, "4 2"]:
+    """Returns the shadow that one robot throws in the light at another's centre, to be drawn: NumPy only.
+
+    Two tangents from the light touch the occluder; the shadow lies between them, beyond the chord of the two points of
+    contact. (The occluder's own disc covers what the chord cuts off.)
+
+    Args:
+        observer: Where the light is, world units.
+        occluder: Centre of the robot that throws the shadow.
+        radius: The paper's R_bot, world units.
+        reach: How far from the light the tangents are followed, world units.
+
+    Returns:
+        The corners, clockwise from the point of contact on the left as seen from the light.
+
+    Raises:
+        InputError: The light is not outside the occluder, or the tangents end before they touch it.
+    """
+    light = np.asarray(observer, dtype=float)
+    towards = np.asarray(occluder, dtype=float) - light
+    distance = math.hypot(*towards)
+    if not radius < distance < math.inf:
+        raise InputError("occluder", distance, f"farther than the radius, {radius:g}, from the observer")
+    length = math.sqrt((distance - radius) * (distance + radius))
+    if not length <= reach < math.inf:
+        raise InputError("reach", reach, f"finite and at least {length:g}, where the tangents touch the occluder")
+    across = np.array([-towards[1], towards[0]])
+    # Unit vectors along the tangents: the direction to the occluder turned by +-alpha, sin(alpha) = R / d.
+    left, right = ((length * towards + side * radius * across) / distance**2 for side in (1, -1))
+    return light + np.stack([length * left, reach * left, reach * right, length * right])
 
 
 def hides(

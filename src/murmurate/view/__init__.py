@@ -1,4 +1,4 @@
-"""Figures and animations of recorded runs. Reads run folders with NumPy and Matplotlib; does not need JAX.
+"""Figures and animations of recorded runs, patterns and the model. Needs NumPy and Matplotlib; does not need JAX.
 
 Example:
     >>> from murmurate import view  # doctest: +SKIP
@@ -9,18 +9,33 @@ Example:
 
 from murmurate.view.animation import animate
 from murmurate.view.drawing import Drawing, draw_configuration
-from murmurate.view.figures import discovery_figure, patterns_figure, save
+from murmurate.view.figures import discovery_figure, patterns_figure
+from murmurate.view.files import save
+from murmurate.view.growth import Growth, PaperPoint, growth_figure
+from murmurate.view.model import robot_figure, visibility_figure
+from murmurate.view.plate import PlatePattern, plate_figure
 from murmurate.view.record import Episode, Record, Sizes, Training
+from murmurate.view.report import formation_figure, reward_figure, training_figure
 
 __all__ = [
     "Drawing",
     "Episode",
+    "Growth",
+    "PaperPoint",
+    "PlatePattern",
     "Record",
     "Sizes",
     "Training",
     "animate",
     "discovery_figure",
     "draw_configuration",
+    "formation_figure",
+    "growth_figure",
     "patterns_figure",
+    "plate_figure",
+    "reward_figure",
+    "robot_figure",
     "save",
+    "training_figure",
+    "visibility_figure",
 ]

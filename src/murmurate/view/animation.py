@@ -15,18 +15,15 @@ from matplotlib.figure import Figure
 
 from murmurate.errors import InputError
 from murmurate.view.drawing import (
-    INK,
-    MUTED,
     draw_configuration,
     draw_world,
     path_colors,
     path_segments,
-    policy_color,
     show_window,
     window,
 )
 from murmurate.view.files import written_aside
-from murmurate.view.palette import limited
+from murmurate.view.palette import INK, MUTED, limited, policy_color
 from murmurate.view.record import Episode, Record
 
 __all__ = ["animate"]

@@ -1,8 +1,4 @@
-"""How one configuration looks: robots to scale, who sees whom, who keeps the safe distance.
-
-Colours are Okabe and Ito's, told apart by readers of every colour vision. Vermilion warns: sight is
-blocked.
-"""
+"""How one configuration looks: robots to scale, who sees whom, who keeps the safe distance."""
 
 from __future__ import annotations
 
@@ -18,10 +14,10 @@ from matplotlib.patches import Rectangle
 from matplotlib.transforms import blended_transform_factory
 
 from murmurate import geometry
+from murmurate.view.palette import FAINT, INK, MUTED, ROBOT, SIGHT, WARNING, policy_color
 from murmurate.view.record import Episode, Sizes
 
 __all__ = [
-    "COLORS",
     "Drawing",
     "add_paths",
     "draw_configuration",
@@ -31,24 +27,9 @@ __all__ = [
     "mutual_pairs",
     "path_colors",
     "path_segments",
-    "policy_color",
     "show_window",
     "window",
 ]
-
-INK = "#22303C"
-MUTED = "#66727F"
-FAINT = "#C5CDD6"
-ROBOT = "#44576B"
-SIGHT = "#8A97A5"
-WARNING = "#D55E00"
-_POLICIES = ("#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
-COLORS = (INK, MUTED, FAINT, ROBOT, SIGHT, WARNING, *_POLICIES)
-
-
-def policy_color(place: int) -> str:
-    """Returns the colour of the policy at a place of the list: 0 for the base policy."""
-    return _POLICIES[place % len(_POLICIES)]
 
 
 def mutual_pairs(

@@ -1,15 +1,42 @@
-"""Writing a picture so that a reader sees the old file or the new one, never half of one."""
+"""Writing a picture: small, always the same, and so that a reader sees the old file or the new one, never half."""
 
 from __future__ import annotations
 
 import contextlib
+import io
 import os
 from collections.abc import Iterator
 from pathlib import Path
 
-from murmurate.errors import RunError
+import numpy as np
+from matplotlib.figure import Figure
+from PIL import Image
 
-__all__ = ["written_aside"]
+from murmurate.errors import InputError, RunError
+from murmurate.view.palette import limited
+
+__all__ = ["save", "written_aside"]
+
+
+def save(figure: Figure, path: str | os.PathLike[str], dpi: int = 180) -> None:
+    """Writes a figure as a small PNG, aside first and then renamed; the same figure gives the same bytes.
+
+    Args:
+        figure: What to write.
+        path: A name that ends in .png.
+        dpi: Pixels an inch.
+
+    Raises:
+        InputError: The name does not end in .png.
+        RunError: The file cannot be written.
+    """
+    if Path(path).suffix.lower() != ".png":
+        raise InputError("path", str(path), "a name that ends in .png")
+    raw = io.BytesIO()
+    figure.savefig(raw, format="png", dpi=dpi, metadata={"Software": None})
+    picture = limited(np.asarray(Image.open(raw).convert("RGB")), levels=8, frequent=150)
+    with written_aside(path) as aside:
+        picture.save(aside, format="PNG", optimize=True)
 
 
 @contextlib.contextmanager

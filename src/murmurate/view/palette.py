@@ -1,4 +1,8 @@
-"""Few colours, well chosen: pictures that stay small without losing a faint line's hue."""
+"""The colours of all pictures; and pictures of few colours that stay small without losing a faint line's hue.
+
+Colours are Okabe and Ito's, told apart by readers of every colour vision. Vermilion warns: sight is
+blocked.
+"""
 
 from __future__ import annotations
 
@@ -7,11 +11,22 @@ from jaxtyping import UInt8
 from matplotlib.colors import to_rgb
 from PIL import Image
 
-from murmurate.view.drawing import COLORS
+__all__ = ["COLORS", "FAINT", "INK", "MUTED", "ROBOT", "SIGHT", "WARNING", "limited", "policy_color"]
 
-__all__ = ["limited"]
-
+INK = "#22303C"
+MUTED = "#66727F"
+FAINT = "#C5CDD6"
+ROBOT = "#44576B"
+SIGHT = "#8A97A5"
+WARNING = "#D55E00"
+_POLICIES = ("#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+COLORS = (INK, MUTED, FAINT, ROBOT, SIGHT, WARNING, *_POLICIES)
 _PACK = np.array([1 << 16, 1 << 8, 1])
+
+
+def policy_color(place: int) -> str:
+    """Returns the colour of the policy at a place of the list: 0 for the base policy."""
+    return _POLICIES[place % len(_POLICIES)]
 
 
 def limited(pixels: UInt8[np.ndarray, "height width 3"], levels: int, frequent: int = 0) -> Image.Image:
