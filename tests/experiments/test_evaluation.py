@@ -9,6 +9,8 @@ from scipy.stats import binomtest
 from murmurate.discovery import Trajectories, Verdict
 from murmurate.experiments import storage
 from murmurate.experiments.evaluation import Evaluation, wilson
+from murmurate.patterns import best_known
+from murmurate.patterns.best_known import BestKnown
 from tiny import tiny
 
 NAMES = ("nclose", "safety", "neighbors", "visible")
@@ -70,3 +72,43 @@ def test_what_cannot_be_computed_is_null(tmp_path):
 def test_wilson_interval(successes, trials):
     expected = binomtest(successes, trials).proportion_ci(method="wilson")
     assert wilson(successes, trials) == pytest.approx((expected.low, expected.high), abs=1e-4)
+
+
+def stands_still(positions, **world):
+    """One valid episode in which three robots stand at the given positions."""
+    signals = {name: np.ones((1, 1), np.float32) for name in NAMES}
+    none, yes = np.zeros(1, bool), np.ones(1, bool)
+    zero = np.zeros(1, np.int32)
+    ran = Trajectories(
+        np.array(positions, np.float32)[None, None], zero, np.zeros((1, 0), np.int32), yes, none, signals
+    )
+    verdict = Verdict(yes, yes, yes, yes, yes)
+    return Evaluation(tiny(world={"safe_distance": 5.0, **world}), 0, "fresh", ran, verdict, np.array([0.0]))
+
+
+TRIANGLE = 2.9 * np.array([[1, 0], [-0.5, np.sqrt(0.75)], [-0.5, -np.sqrt(0.75)]])
+
+
+def test_the_gap_is_to_the_best_known_pattern():
+    evaluation = stands_still(TRIANGLE)
+    summary = evaluation.summary()
+    reach = 2 * np.hypot(12, 12)
+    assert summary["best_known"] == pytest.approx(4 - 5 / reach)
+    assert summary["best_found"] == pytest.approx(4 - 2.9 * np.sqrt(3) / reach, abs=1e-6)
+    assert summary["gap"] == pytest.approx(summary["best_known"] - summary["signal"]["total"])
+    assert evaluation.record() is None
+    unknown = stands_still(TRIANGLE, radius=0.9).summary()
+    assert (unknown["best_known"], unknown["gap"]) == (None, None)
+
+
+def test_a_pattern_that_beats_the_table_is_offered_as_a_record(tmp_path, monkeypatch):
+    evaluation = stands_still(TRIANGLE)
+    evaluation.save(tmp_path)
+    assert not (tmp_path / "record.json").exists()
+    worse = BestKnown.of(evaluation.target, 1.1 * TRIANGLE, "by hand")
+    monkeypatch.setattr(best_known, "load", lambda: (worse,))
+    evaluation.save(tmp_path)
+    record = BestKnown.from_dict(storage.read_json(tmp_path / "record.json"))
+    assert record.positions == pytest.approx(TRIANGLE, abs=1e-6)
+    assert record.value == pytest.approx(evaluation.summary()["best_found"])
+    assert record.command == "murmurate discover tiny --seed 0"

@@ -37,6 +37,12 @@ def test_a_run_stands_beside_the_paper():
     assert tables.comparison(SUMMARY, None)[1][2] == ("total steps", "-", "90.50")
 
 
+def test_the_gap_is_in_percent_of_the_best_known():
+    assert tables.gap({"gap": 0.0391, "best_known": 3.91}) == "1.00%"
+    assert tables.gap({"gap": None, "best_known": None}) == "-"
+    assert tables.gap(SUMMARY) == "-"
+
+
 def test_tables_as_markdown():
     assert tables.as_markdown(("a", "b"), [("x", "1")]) == "| a | b |\n| --- | ---: |\n| x | 1 |\n"
 

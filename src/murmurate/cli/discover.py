@@ -66,6 +66,7 @@ def _report(folder: Path) -> int:
 
     config, summary = configuration.load(folder), tables.read_evaluation(folder)
     outcome.print_comparison(summary, presets.paper_row(config))
+    outcome.print_record(folder)
     failed = storage.read_manifest(folder).get("outcome") != VALID
     try:
         print(f"picture: {outcome.draw(folder)}")

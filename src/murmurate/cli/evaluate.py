@@ -50,6 +50,7 @@ def _evaluate(folder: Path, episodes: int | None, seed: int | None, starts: str 
     result.save(folder)
     summary = tables.read_evaluation(folder)
     outcome.print_comparison(summary, presets.paper_row(opened.experiment))
+    outcome.print_record(folder)
     print(f"picture: {outcome.draw(folder)}")
     print(f"record: {folder / evaluation.EVALUATION}, {folder / evaluation.TRAJECTORIES}")
     return 0

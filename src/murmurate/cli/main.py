@@ -24,6 +24,8 @@ VERBS = {
     "discover": "train the policies of an experiment and show the pattern that they form",
     "evaluate": "run a discovered cascade from fresh starts, or from a file of starts",
     "show": "draw the figures and the animation of a run",
+    "catalogue": "sort what runs found into classes of patterns, and draw them on a plate",
+    "optimum": "search for the best formation there is, or list the best known",
     "experiments": "list the experiments",
     "table": "write the results of many runs as a Markdown table",
 }

@@ -9,9 +9,10 @@ from typing import Any
 from rich.console import Console
 
 from murmurate.experiments import tables
+from murmurate.experiments.evaluation import RECORD
 from murmurate.experiments.paper import PaperExperiment
 
-__all__ = ["PICTURE", "draw", "print_comparison"]
+__all__ = ["PICTURE", "draw", "print_comparison", "print_record"]
 
 PICTURE = Path("figures") / "discovery.png"
 
@@ -19,6 +20,12 @@ PICTURE = Path("figures") / "discovery.png"
 def print_comparison(summary: Mapping[str, Any], row: PaperExperiment | None) -> None:
     """Prints an evaluation, beside the paper's where it has one."""
     Console().print(tables.as_rich(*tables.comparison(summary, row)))
+
+
+def print_record(folder: Path) -> None:
+    """Says so where a run beat the best-known pattern."""
+    if (folder / RECORD).is_file():
+        print(f"A valid pattern beats the best known: {folder / RECORD} is the new record.")
 
 
 def draw(folder: Path, episode: int | None = None) -> Path:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,9 +15,11 @@ from murmurate.discovery import Trajectories, Verdict, bound_steps, judge
 from murmurate.experiments import storage
 from murmurate.experiments.config import ExperimentConfig
 from murmurate.experiments.run import Run
+from murmurate.patterns.best_known import BestKnown, best_known, is_record
+from murmurate.patterns.formation import Target
 from murmurate.world import signal_names
 
-__all__ = ["EPISODES", "EVALUATION", "FRESH", "SEED", "TRAJECTORIES", "Evaluation", "evaluate", "wilson"]
+__all__ = ["EPISODES", "EVALUATION", "FRESH", "RECORD", "SEED", "TRAJECTORIES", "Evaluation", "evaluate", "wilson"]
 
 EPISODES = 200
 """Episodes of an evaluation, as in the paper."""
@@ -27,6 +30,7 @@ SEED = 0
 FRESH = "fresh"
 EVALUATION = "evaluation.json"
 TRAJECTORIES = "trajectories.npz"
+RECORD = "record.json"
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +60,7 @@ class Evaluation:
         base = float((ran.switch[:, 0] if ran.switch.shape[1] else ran.lengths).mean())
         names = ("collision_free", "mutually_visible", "gathered", "safe", "at_rest", "valid")
         signal = {name: float(ran.signals[name][:, -1].mean()) for name in signal_names(self.experiment.objective)}
+        reached, known, best = sum(signal.values()), best_known(self.target), self.best
         return {
             "experiment": self.experiment.name,
             "robots": self.experiment.world.robots,
@@ -69,9 +74,35 @@ class Evaluation:
             "total_steps": total,
             "bound_steps": bound,
             "efficiency": bound / max(total, 1.0),
-            "signal": {**signal, "total": sum(signal.values())},
+            "signal": {**signal, "total": reached},
+            "best_known": known,
+            "gap": None if known is None else known - reached,
+            "best_found": None if best is None else float(self.values[best]),
             "failures": np.flatnonzero(~verdict.valid).tolist(),
         }
+
+    @property
+    def target(self) -> Target:
+        """By what the patterns are compared."""
+        return Target(self.experiment.world, self.experiment.objective)
+
+    @functools.cached_property
+    def values(self) -> Float[np.ndarray, " episodes"]:
+        """The objective at the end of each episode, all weights 1, in float64."""
+        finals = np.moveaxis(self.trajectories.final.astype(float), 0, -1)
+        return np.sum(list(self.target.signals(finals).values()), axis=0)
+
+    @property
+    def best(self) -> int | None:
+        """The episode whose valid pattern has the greatest objective; None where none is valid."""
+        return int(np.where(self.verdict.valid, self.values, -np.inf).argmax()) if self.verdict.valid.any() else None
+
+    def record(self) -> BestKnown | None:
+        """Returns the best pattern as an entry for the table of best-known patterns, if it beats the table."""
+        if self.best is None or not is_record(self.target, float(self.values[self.best])):
+            return None
+        command = f"murmurate discover {self.experiment.name} --seed {self.experiment.seed}"
+        return BestKnown.of(self.target, self.trajectories.final[self.best].astype(float), command)
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Returns what trajectories.npz holds."""
@@ -88,11 +119,14 @@ class Evaluation:
         }
 
     def save(self, folder: str | Path) -> None:
-        """Writes trajectories.npz and evaluation.json, each in the place of the one before.
+        """Writes trajectories.npz and evaluation.json, each in the place of the one before, and a record, if it is one.
 
         Raises:
             RunError: A file cannot be written.
         """
+        record = self.record()
+        if record is not None:
+            storage.write_json(Path(folder) / RECORD, record.to_dict())
         storage.write_npz(Path(folder) / TRAJECTORIES, self.arrays())
         storage.write_json(Path(folder) / EVALUATION, self.summary())
 

@@ -16,7 +16,7 @@ from murmurate.experiments.evaluation import EVALUATION, FRESH
 from murmurate.experiments.paper import PaperExperiment
 from murmurate.experiments.presets import paper_row
 
-__all__ = ["RESULTS", "Row", "as_markdown", "as_rich", "comparison", "paper_total", "read_evaluation", "results"]
+__all__ = ["RESULTS", "Row", "as_markdown", "as_rich", "comparison", "gap", "paper_total", "read_evaluation", "results"]
 
 NONE = "-"
 Row = Sequence[str]
@@ -34,6 +34,7 @@ RESULTS = (
     "paper's total",
     "bound",
     "total / bound",
+    "gap",
     "policies",
     "environment steps",
     "training",
@@ -70,6 +71,7 @@ def comparison(summary: Mapping[str, Any], row: PaperExperiment | None) -> tuple
         ("mutually visible", NONE, _count(summary, "mutually_visible")),
         ("safe", NONE, _count(summary, "safe")),
         ("valid pattern", NONE, valid),
+        ("gap to the best-known pattern", NONE, gap(summary)),
     ]
 
 
@@ -105,6 +107,7 @@ def _result(folder: Path) -> Row:
         NONE if row is None else paper_total(row),
         f"{summary['bound_steps']:.1f}",
         _times(summary),
+        gap(summary),
         policies,
         *training,
     )
@@ -137,6 +140,14 @@ def paper_total(row: PaperExperiment) -> str:
     if row.total_steps == row.summed_steps:
         return f"{row.total_steps:.2f}"
     return f"{row.total_steps:.2f} printed, {row.summed_steps:.2f} summed"
+
+
+def gap(summary: Mapping[str, Any]) -> str:
+    """Writes by how much the mean objective is below that of the best-known pattern, in percent of it."""
+    short, known = summary.get("gap"), summary.get("best_known")
+    if not isinstance(short, float) or not isinstance(known, float) or math.isnan(short):
+        return NONE
+    return f"{100 * short / known:.2f}%"
 
 
 def _count(summary: Mapping[str, Any], name: str) -> str:

@@ -1,0 +1,111 @@
+"""Searches for the best-known patterns again and keeps the better ones: `make optima`.
+
+python -m benchmarks.optima [--robots 2 16] [--seeds 0 1] [--hops 60] [--add FILE.json]
+
+Two families of sizes, as in experiments A-F: R = 1, delta_s = 5 (B, C, E, F) and R = 0.4, delta_s = 2.8 (A, D). The
+published worlds X = Y = 35, 40, 45 for N = 6, 8, 10 are on the line 20 + 2.5 N, which is continued.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from dataclasses import replace
+from pathlib import Path
+
+from murmurate.experiments.presets import preset
+from murmurate.patterns import best_known
+from murmurate.patterns.annealing import AnnealingConfig
+from murmurate.patterns.best_known import BestKnown
+from murmurate.patterns.formation import Target
+from murmurate.patterns.optimum import OptimumConfig, hop, search
+
+TABLE = Path(best_known.__file__).with_name(best_known.TABLE)
+FAMILIES = ("C", "F", "A", "D")
+
+
+def target(experiment: str, robots: int) -> tuple[Target, str]:
+    """Returns an experiment's problem for another swarm size, and the command that searches it."""
+    config = preset(experiment)
+    half = 20 + 2.5 * robots
+    changed = {"robots": robots, "half_width": half, "half_height": half}
+    if config.world.scan_radius > config.world.half_width:
+        # "Very large": everyone neighbours everyone, wherever they are in the world.
+        changed["scan_radius"] = max(config.world.scan_radius, 3 * half)
+    world = replace(config.world, **changed)
+    flags = [f"--world.{name} {value:g}" for name, value in changed.items() if value != getattr(config.world, name)]
+    return Target(world, config.objective), " ".join(["murmurate optimum", experiment, *flags])
+
+
+def improve(found: dict[str, BestKnown], key: str, entry: BestKnown) -> bool:
+    """Puts an entry in the place of a worse one."""
+    if not entry.target.is_valid(entry.positions) or (key in found and entry.value <= found[key].value + 1e-12):
+        return False
+    found[key] = entry
+    return True
+
+
+def key_of(entry: BestKnown) -> str:
+    """Names the place in the table."""
+    return f"{entry.radius:g} {entry.safe_distance:g} {entry.objective} {entry.robots:02}"
+
+
+def main() -> None:
+    """Searches and writes the table after each search, so that nothing is lost."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--robots", type=int, nargs=2, default=(2, 16), metavar=("FROM", "TO"))
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0])
+    parser.add_argument("--sweeps", type=int, default=AnnealingConfig.sweeps)
+    parser.add_argument("--polished", type=int, default=OptimumConfig.polished)
+    parser.add_argument("--hops", type=int, default=60, help="rounds of basin hopping that check each entry")
+    parser.add_argument("--families", nargs="+", default=FAMILIES)
+    parser.add_argument("--add", type=Path, help="a record that `murmurate optimum` or `evaluate` wrote")
+    options = parser.parse_args()
+    entries = json.loads(TABLE.read_text("utf-8")) if TABLE.exists() else []
+    found = {key_of(entry): entry for entry in map(BestKnown.from_dict, entries)}
+    if options.add:
+        entry = BestKnown.from_dict(json.loads(options.add.read_text("utf-8")))
+        print("added" if improve(found, key_of(entry), entry) else "the table has one as good")
+        write(found)
+        return
+    for robots in range(options.robots[0], options.robots[1] + 1):
+        for experiment in options.families:
+            for seed in options.seeds:
+                work(found, experiment, robots, seed, options)
+                write(found)
+
+
+def work(found: dict[str, BestKnown], experiment: str, robots: int, seed: int, options: argparse.Namespace) -> None:
+    """Searches one place of the table, and checks what the table then has by basin hopping."""
+    begun = time.perf_counter()
+    sought, command = target(experiment, robots)
+    annealing = AnnealingConfig(sweeps=options.sweeps)
+    config = OptimumConfig(sought.world, sought.objective, annealing=annealing, hops=options.hops, seed=seed)
+    config = replace(config, polished=options.polished)
+    command += f" --seed {seed}" if options.polished else " --polished 0"
+    if options.polished and annealing != AnnealingConfig():
+        command += f" --annealing.sweeps {options.sweeps}"
+    optima = search(config)
+    best = BestKnown.of(sought, optima[0].positions, command)
+    key = key_of(best)
+    better = improve(found, key, best)
+    checked = hop(config) if options.hops else None
+    if checked and checked.valid:
+        entry = BestKnown.of(sought, checked.positions, f"{command} --hops {options.hops}")
+        better |= improve(found, key, entry)
+        reached = max(checked.value, found[key].hop or checked.value)
+        found[key] = replace(found[key], hop=reached)
+    values = " ".join(f"{one.value:.7f}{'' if one.valid else '!'}" for one in optima[:4])
+    hopped = f"hop {checked.value:.7f}{'' if checked.valid else '!'}" if checked else ""
+    took = time.perf_counter() - begun
+    print(f"{experiment} {robots:2} {values} {hopped} {'BETTER' if better else ''} {took:.0f} s", flush=True)
+
+
+def write(found: dict[str, BestKnown]) -> None:
+    """Writes the table."""
+    TABLE.write_text(best_known.to_json(found[key] for key in sorted(found)), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,107 @@
+"""`murmurate catalogue`: sorts what runs found into classes of the same pattern, and draws them on a plate."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from murmurate.cli.arguments import Parser
+from murmurate.errors import GREATEST, RunError, check_number
+
+if TYPE_CHECKING:
+    from murmurate.patterns import Catalogue, PatternClass
+    from murmurate.view import PlatePattern
+
+__all__ = ["draw", "run"]
+
+PLATE = "plate.png"
+MOST_DRAWN, MOST_LISTED = 48, 20
+
+
+def run(argv: Sequence[str]) -> int:
+    """Runs the verb; returns 0."""
+    text = "Sorts the valid patterns of runs, and of other catalogues, into classes, and draws a plate of them."
+    parser = Parser("catalogue", "RUN...", text)
+    parser.add_argument("runs", metavar="RUN", nargs="+", help="folder of a finished run, or of a catalogue")
+    parser.add_argument("--out", metavar="DIR", default="catalogue", help="where to write (default: catalogue)")
+    tolerance = "greatest distance within a class: root mean square radii (default: 0.125), or units if not scaled"
+    parser.add_argument("--tolerance", type=float, metavar="NUMBER", help=tolerance)
+    parser.add_argument("--no-scaling", action="store_true", help="patterns of different size are different")
+    parser.add_argument("--no-reflection", action="store_true", help="mirror images are different patterns")
+    options, _ = parser.parse(argv)
+    if options.tolerance is not None:
+        check_number("--tolerance", options.tolerance, 0, GREATEST, exclusive_low=True)
+    from murmurate.experiments import catalogues
+    from murmurate.patterns import Catalogue
+
+    out = Path(options.out)
+    catalogues.look(out)
+    found = [finding for word in options.runs for finding in catalogues.findings(word)]
+    if not found:
+        raise RunError(f"no valid pattern was found in {', '.join(options.runs)}")
+    scaling, reflection = not options.no_scaling, not options.no_reflection
+    catalogue = Catalogue.of(found, tolerance=options.tolerance, scaling=scaling, reflection=reflection)
+    catalogues.save(catalogue, out)
+    draw(catalogue, out / PLATE)
+    _print(catalogue, out)
+    return 0
+
+
+def draw(catalogue: Catalogue, path: Path) -> None:
+    """Draws the plate of a catalogue's best classes."""
+    from murmurate import view
+
+    robots = len(catalogue.findings[0].positions)
+    classes, found = catalogue.classes, len(catalogue.findings)
+    shown = classes[:MOST_DRAWN]
+    subtitle = f"{len(classes)} {'class' if len(classes) == 1 else 'classes'} of {found} valid patterns, best first"
+    if len(shown) < len(classes):
+        subtitle += f"; the first {len(shown)}"
+    plate = view.plate_figure([_picture(one, found) for one in shown], f"Patterns of {robots} robots", subtitle)
+    view.save(plate, path)
+
+
+def _picture(one: PatternClass, found: int) -> PlatePattern:
+    """Turns a class's representative so that its mirror axis stands upright, if it has one, and captions it."""
+    from murmurate import view
+    from murmurate.patterns import upright
+
+    best = one.representative
+    symmetry = "" if one.symmetry.name == "none" else f"{one.symmetry.name} · "
+    caption = f"{symmetry}{_layers(one)} · {one.count} of {found}"
+    note = f"{best.objective} {one.value:.4f}"
+    if one.gap is not None:
+        note += f", {100 * one.gap / (one.gap + one.value):.2f}% short"
+    return view.PlatePattern(upright(best.positions), best.radius, best.scan_radius, caption, note)
+
+
+def _layers(one: PatternClass) -> str:
+    return "+".join(map(str, one.layers))
+
+
+def _print(catalogue: Catalogue, out: Path) -> None:
+    from rich.console import Console
+
+    from murmurate.experiments import catalogues, tables
+
+    header = ("class", "found", "symmetry", "layers", "objective", "gap", "margin", "starts")
+    rows = [
+        (
+            one.name,
+            str(one.count),
+            one.symmetry.name,
+            _layers(one),
+            f"{one.representative.objective} {one.value:.4f}",
+            tables.NONE if one.gap is None else f"{one.gap:.4f}",
+            f"{one.margin:.2f} R",
+            ", ".join(f"{start} {count}" for start, count in one.starts.items()),
+        )
+        for one in catalogue.classes[:MOST_LISTED]
+    ]
+    console = Console()
+    console.print(tables.as_rich(header, rows))
+    if len(catalogue.classes) > MOST_LISTED:
+        print(f"and {len(catalogue.classes) - MOST_LISTED} more")
+    print(f"classes: {out / catalogues.CLASSES}, all findings: {out / catalogues.CATALOGUE}")
+    print(f"plate: {out / PLATE}")

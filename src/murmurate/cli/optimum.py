@@ -1,0 +1,109 @@
+"""`murmurate optimum`: searches for the best formation there is, or lists the best known."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from murmurate.cli.arguments import Parser
+from murmurate.errors import RunError
+from murmurate.experiments.paper import EXPERIMENTS, check_experiment
+
+if TYPE_CHECKING:
+    from murmurate.patterns.optimum import Formation, OptimumConfig
+
+__all__ = ["run"]
+
+MOST_LISTED = 8
+
+
+def run(argv: Sequence[str]) -> int:
+    """Runs the verb; returns 0, or 3 when a valid pattern was sought and none found."""
+    word = argv[0] if argv and not argv[0].startswith("-") else None
+    if not argv:
+        return _list()
+    if word is not None:
+        check_experiment(word)
+    from murmurate.experiments import fields, presets
+    from murmurate.patterns.optimum import OptimumConfig
+
+    found = presets.resolve(word or "C")
+    config = OptimumConfig(found.world, found.objective)
+    text = "Searches for the best formation in the world of an experiment; without any word, lists the best known."
+    parser = Parser("optimum", "[EXPERIMENT]", text)
+    names = f"whose sizes to begin with: {', '.join(EXPERIMENTS)}, or a TOML file (default: C)"
+    parser.add_argument("experiment", metavar="EXPERIMENT", nargs="?", help=names)
+    parser.add_argument("--out", metavar="FILE.json", help="write the best one, for the table of best-known patterns")
+    parser.add_fields(config)
+    options, flags = parser.parse(argv)
+    config = fields.replaced(config, flags)
+    out = None if options.out is None else Path(options.out)
+    if out is not None and out.exists():
+        raise RunError(f"{out} is there already: choose another --out")
+    return _search(config, out, " ".join(["murmurate optimum", *argv]))
+
+
+def _list() -> int:
+    from murmurate.experiments import optima, tables
+    from murmurate.patterns import best_known
+
+    print(tables.as_markdown(optima.OPTIMA, optima.rows(best_known.load())), end="")
+    return 0
+
+
+def _search(config: OptimumConfig, out: Path | None, command: str) -> int:
+    from murmurate.experiments import storage
+    from murmurate.patterns.best_known import BestKnown
+    from murmurate.patterns.optimum import hop, search
+
+    found = search(config)
+    _print_found(config, found)
+    best = found[0]
+    if config.hops:
+        checked = hop(config)
+        print(f"basin hopping, {config.hops} rounds: {checked.value:.7f}{_flaw(checked)}")
+        best = min(best, checked, key=lambda one: (config.only_valid and not one.valid, -one.value))
+    if config.only_valid and not best.valid:
+        print("No valid pattern was found; the best of what was found is not one.")
+        return 3
+    _print_comparison(config, best)
+    if out is not None:
+        storage.write_json(out, BestKnown.of(config.target, best.positions, command).to_dict())
+        print(f"pattern: {out}")
+    return 0
+
+
+def _print_found(config: OptimumConfig, found: list[Formation]) -> None:
+    sizes = config.world
+    what = f"{sizes.robots} robots, {config.objective}, R = {sizes.radius:g}, safe distance {sizes.safe_distance:g}"
+    print(f"{what}: {len(found)} distinct local optima, best first")
+    for one in found[:MOST_LISTED]:
+        signals = config.target.signals(one.positions)
+        parts = ", ".join(f"{name} {float(value):.6f}" for name, value in signals.items())
+        print(f"  {one.value:.7f}{_flaw(one)}  ({parts})")
+
+
+def _flaw(one: Formation) -> str:
+    return "" if one.valid else " not a valid pattern"
+
+
+def _print_comparison(config: OptimumConfig, best: Formation) -> None:
+    """Says how the best one stands beside what is proved and what is known."""
+    from murmurate.patterns import bounds
+    from murmurate.patterns.best_known import BEATS, best_known
+
+    target, sizes = config.target, config.world
+    if best.valid:
+        print(f"packing bound on valid patterns: {bounds.upper_bound(target):.7f}")
+        ring = bounds.ring(sizes.robots, sizes.radius, sizes.safe_distance)
+        print(f"smallest regular ring, radius {ring.radius:.6f}: {target.value(ring.positions):.7f}")
+    known = best_known(target)
+    if known is None:
+        print("best known: none for these sizes")
+    elif best.value > known + BEATS:
+        print(f"best known: {known:.7f}; this one is better")
+    elif best.value < known - BEATS:
+        print(f"best known: {known:.7f}; this one is {known - best.value:.2g} short of it")
+    else:
+        print(f"best known: {known:.7f}; this one equals it")

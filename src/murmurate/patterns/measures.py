@@ -1,0 +1,106 @@
+"""Measures of one configuration: its layers, how near its robots are, and how much room visibility leaves it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from jaxtyping import Bool, Complex, Float
+
+from murmurate.errors import check_number
+from murmurate.geometry import distances
+from murmurate.geometry.similarity import configuration, normalized
+
+__all__ = ["convex_layers", "nearest_distances", "visibility_margin"]
+
+STRAIGHT = 1e-6
+"""By how much an angle may miss pi and still be straight, radians: positions are recorded in float32."""
+
+COINCIDENT = 1e-9
+"""Robots this near, in root mean square radii, are at the same place: they have no direction from each other."""
+
+
+def convex_layers(positions: Float[np.ndarray, "robots 2"]) -> tuple[int, ...]:
+    """Counts the robots on the convex hull, on the hull of the robots inside it, and so on.
+
+    Robots on an edge of a hull are on the hull; so are all the robots of a straight line.
+
+    Args:
+        positions: Centres of the robots, world units.
+
+    Returns:
+        Robots on each layer, the hull first.
+
+    Raises:
+        InputError: It is no configuration of finite numbers.
+    """
+    left, layers = normalized(positions), []
+    while len(left):
+        on_hull = _on_hull(left)
+        layers.append(int(on_hull.sum()))
+        left = left[~on_hull]
+    return tuple(layers)
+
+
+def _on_hull(z: Complex[np.ndarray, " robots"]) -> Bool[np.ndarray, " robots"]:
+    """Says who sees all others on one side of a straight line."""
+
+    def widest_gap(others: Complex[np.ndarray, " others"]) -> float:
+        angles = np.sort(np.angle(others[np.abs(others) > COINCIDENT]))
+        return float(np.diff(angles, append=angles[:1] + 2 * math.pi).max(initial=0)) if len(angles) else math.inf
+
+    return np.array([widest_gap(z - place) >= math.pi - STRAIGHT for place in z])
+
+
+def nearest_distances(positions: Float[np.ndarray, "robots 2"]) -> Float[np.ndarray, " robots"]:
+    """Returns each robot's distance to the robot nearest to it, world units; inf for a robot alone.
+
+    Raises:
+        InputError: It is no configuration of finite numbers.
+    """
+    distance = distances(configuration(positions))
+    np.fill_diagonal(distance, np.inf)
+    return distance.min(axis=1)
+
+
+def visibility_margin(positions: Float[np.ndarray, "robots 2"], radius: float) -> float:
+    """Returns the least gap between the disc of any robot and the shadow that another one throws from a third.
+
+    Seen from k, the shadow of j is what lies between the two tangents to the disc of j and beyond the chord between
+    the points where they touch it.
+
+    Args:
+        positions: Centres of the robots, world units.
+        radius: The paper's R_bot, world units.
+
+    Returns:
+        The gap, in radii: positive, when nobody occludes anybody; 0, tangent; negative, how deep a disc reaches into a
+        shadow (at most 1: its centre is in it). inf for fewer than three robots.
+
+    Raises:
+        InputError: It is no configuration of finite numbers, or the radius is not positive.
+    """
+    check_number("radius", radius, 0, exclusive_low=True)
+    points = configuration(positions) / radius
+    z = points[:, 0] + 1j * points[:, 1]
+    # From observer k (row) to j (column), in radii; j covers the angle a to either side.
+    offset = z[None] - z[:, None]
+    distance = np.abs(offset)
+    apart = distance > 0
+    sine = 1 / np.maximum(distance, 1)
+    cosine = np.sqrt((1 - sine) * (1 + sine))
+    towards = offset / np.where(apart, distance, 1)
+
+    # Robot i (third axis) where k is the origin and j on the positive x-axis; the mirror image for those below it.
+    seen = offset[:, None, :] * towards.conj()[:, :, None]
+    x, y = seen.real, np.abs(seen.imag)
+    sin, cos, far = sine[:, :, None], cosine[:, :, None], distance[:, :, None]
+    touch_x, touch_y = far * cos * cos, far * cos * sin
+    beyond_touch = x * cos + y * sin >= far * cos
+    gap = np.where(
+        beyond_touch,
+        np.maximum(y * cos - x * sin, 0),
+        np.where(y <= touch_y, np.maximum(touch_x - x, 0), np.hypot(x - touch_x, y - touch_y)),
+    )
+    third = apart[:, :, None] & ~np.eye(len(z), dtype=bool)[:, None, :] & ~np.eye(len(z), dtype=bool)[None]
+    return float(gap.min(where=third, initial=np.inf)) - 1.0

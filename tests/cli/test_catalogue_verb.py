@@ -1,0 +1,117 @@
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+
+import pytest
+
+from murmurate.cli.main import main
+from tiny import write_toml
+
+
+@pytest.fixture(scope="module")
+def second(tmp_path_factory):
+    """Another run of the tiny experiment."""
+    folder = tmp_path_factory.mktemp("second")
+    assert main(["discover", str(write_toml(folder / "tiny.toml")), "--seed", "1", "--out", str(folder / "run")]) == 0
+    return folder / "run"
+
+
+def refused(capsys, words, *parts):
+    assert main(["catalogue", *map(str, words)]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.count("\n") == 1
+    for part in parts:
+        assert part in err
+
+
+def test_it_leaves_json_csv_and_a_plate(discovered, second, tmp_path, capsys):
+    out = tmp_path / "catalogue"
+    assert main(["catalogue", str(discovered), str(second), "--out", str(out)]) == 0
+    assert {path.name for path in out.iterdir()} == {"catalogue.json", "catalogue.csv", "plate.png"}
+    data = json.loads((out / "catalogue.json").read_text())
+    rows = list(csv.DictReader((out / "catalogue.csv").read_text().splitlines()))
+    assert sum(int(row["count"]) for row in rows) == len(data["findings"])
+    assert "tiny central 0" in rows[0]["seeds"] or "tiny central 1" in rows[0]["seeds"]
+    assert (out / "plate.png").read_bytes().startswith(b"\x89PNG")
+    shown = capsys.readouterr().out
+    for part in ("symmetry", "margin", "P1", f"plate: {out / 'plate.png'}"):
+        assert part in shown
+
+
+def test_merging_catalogues_is_the_catalogue_of_all_runs_in_any_order(discovered, second, tmp_path):
+    def make(name, *sources):
+        assert main(["catalogue", *map(str, sources), "--out", str(tmp_path / name)]) == 0
+        return tmp_path / name
+
+    one, two = make("one", discovered), make("two", second)
+    together = [
+        make(name, *sources)
+        for name, sources in {
+            "runs": (discovered, second),
+            "merged": (one, two),
+            "reversed": (two, one, discovered),
+        }.items()
+    ]
+    for name in ("catalogue.json", "catalogue.csv", "plate.png"):
+        assert len({(folder / name).read_bytes() for folder in together}) == 1
+
+
+def test_a_catalogue_is_replaced_and_nothing_else_is(discovered, tmp_path, capsys):
+    out = tmp_path / "catalogue"
+    assert main(["catalogue", str(discovered), "--out", str(out)]) == 0
+    assert main(["catalogue", str(discovered), "--out", str(out), "--no-reflection"]) == 0
+    assert json.loads((out / "catalogue.json").read_text())["reflection"] is False
+    capsys.readouterr()
+    refused(capsys, [discovered, "--out", discovered], f"{discovered} holds other files")
+
+
+@pytest.mark.parametrize("number", ["0", "-1", "nan", "inf"])
+def test_tolerances_are_positive(number, discovered, capsys):
+    refused(capsys, [discovered, "--tolerance", number], "--tolerance = ", "must be a finite number > 0")
+
+
+def test_without_scaling_a_tolerance_is_needed(discovered, tmp_path, capsys):
+    refused(capsys, [discovered, "--no-scaling", "--out", tmp_path / "x"], "tolerance = None: must be given")
+    assert main(["catalogue", str(discovered), "--no-scaling", "--tolerance", "1", "--out", str(tmp_path / "y")]) == 0
+
+
+def test_what_cannot_be_put_together(discovered, tmp_path, capsys):
+    other = tmp_path / "other"
+    toml = write_toml(tmp_path / "four.toml", world={"robots": 4})
+    assert main(["discover", str(toml), "--out", str(other)]) in (0, 3)
+    wide = tmp_path / "wide"
+    toml = write_toml(tmp_path / "wide.toml", world={"radius": 0.9})
+    assert main(["discover", str(toml), "--out", str(wide)]) in (0, 3)
+    capsys.readouterr()
+    out = tmp_path / "out"
+    refused(capsys, [discovered, other, "--out", out], "robots = [3, 4]: must be the same number in all findings")
+    words = [discovered, wide, "--no-scaling", "--tolerance", "1", "--out", out]
+    refused(capsys, words, "radius = [0.9, 1.0]: must be the same in all findings")
+    assert not out.exists()
+
+
+def test_folders_that_are_no_runs(tmp_path, discovered, capsys):
+    refused(capsys, [tmp_path / "none"], "holds no run")
+    (tmp_path / "empty").mkdir()
+    refused(capsys, [tmp_path / "empty"], "empty holds no run")
+    refused(capsys, [], "required: RUN")
+    broken = shutil.copytree(discovered, tmp_path / "broken")
+    (broken / "trajectories.npz").write_bytes(b"no")
+    refused(capsys, [broken, "--out", tmp_path / "x"], "trajectories.npz is not a valid npz file")
+    (broken / "evaluation.json").write_text("{}")
+    refused(capsys, [broken, "--out", tmp_path / "x"], "evaluation.json lacks")
+    foreign = tmp_path / "foreign"
+    foreign.mkdir()
+    (foreign / "catalogue.json").write_text('{"format": 7}')
+    refused(capsys, [foreign, "--out", tmp_path / "x"], f"{foreign / 'catalogue.json'}: ")
+
+
+def test_no_valid_pattern_is_said(discovered, tmp_path, capsys):
+    nothing = shutil.copytree(discovered, tmp_path / "nothing")
+    summary = json.loads((nothing / "evaluation.json").read_text())
+    summary["failures"] = list(range(200))
+    (nothing / "evaluation.json").write_text(json.dumps(summary))
+    refused(capsys, [nothing, "--out", tmp_path / "x"], "no valid pattern was found in")

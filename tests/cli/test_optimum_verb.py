@@ -1,0 +1,64 @@
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from murmurate.cli.main import main
+from murmurate.patterns.best_known import BestKnown, load
+
+SHORT = ["--annealing.chains", "16", "--annealing.sweeps", "150", "--polished", "3"]
+
+
+def test_without_a_word_the_best_known_are_listed(capsys):
+    assert main(["optimum"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 2 + len(load())
+    assert lines[0].startswith("| N | for | R | safe |")
+    assert sum("proved" in line for line in lines) == 8
+
+
+def test_a_search_stands_beside_what_is_known(tmp_path, capsys):
+    out = tmp_path / "best.json"
+    words = ["optimum", "C", "--world.robots", "4", "--world.half_width", "30", "--world.half_height", "30", *SHORT]
+    assert main([*words, "--hops", "3", "--out", str(out)]) == 0
+    shown = capsys.readouterr().out
+    for part in ("4 robots, C1", "basin hopping, 3 rounds", "packing bound", "smallest regular ring", "equals it"):
+        assert part in shown
+    entry = BestKnown.from_dict(json.loads(out.read_text()))
+    assert entry.command == " ".join(["murmurate", *words, "--hops", "3", "--out", str(out)])
+    assert entry.target.is_valid(entry.positions)
+    assert main([*words, "--out", str(out)]) == 2
+    assert f"{out} is there already" in capsys.readouterr().err
+
+
+def test_where_no_pattern_is_valid_it_says_so(capsys):
+    words = ["optimum", "C", "--world.robots", "5", "--world.scan_radius", "6", *SHORT]
+    assert main(words) == 3
+    assert "No valid pattern was found" in capsys.readouterr().out
+
+
+def test_weights_are_heeded(capsys):
+    words = ["optimum", "--world.robots", "4", "--weights.gathering", "2", "--only_valid", "false", *SHORT]
+    assert main(words) == 0
+    assert "best known: none for these sizes" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["Z"], "experiment = 'Z': must be one of A, B, C, D, E, F"),
+        (["C", "--world.robots", "1"], "world.robots = 1: must be an integer >= 2"),
+        (["C", "--hops", "-2"], "hops = -2"),
+        (["C", "--annealing.chains", "0"], "annealing.chains = 0"),
+        (["C", "--objective", "C9"], "objective = 'C9': must be one of C1, C2"),
+        (["C", "--anealing.chains", "3"], "did you mean --annealing.chains?"),
+        (["C", "D"], "D"),
+    ],
+)
+def test_bad_words_are_one_line(words, message, capsys):
+    assert main(["optimum", *words]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert message in err
+    assert err.count("\n") == 1
