@@ -14,13 +14,16 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
+from murmurate import view
+from murmurate.experiments.optima import EXACT
 from murmurate.experiments.presets import preset
-from murmurate.patterns import best_known
+from murmurate.patterns import best_known, convex_layers, symmetry, upright
 from murmurate.patterns.annealing import AnnealingConfig
 from murmurate.patterns.best_known import BestKnown
 from murmurate.patterns.formation import Target
 from murmurate.patterns.optimum import OptimumConfig, hop, search
 
+PICTURE = Path("docs/figures/best-known.png")
 TABLE = Path(best_known.__file__).with_name(best_known.TABLE)
 FAMILIES = ("C", "F", "A", "D")
 
@@ -68,12 +71,14 @@ def main() -> None:
         entry = BestKnown.from_dict(json.loads(options.add.read_text("utf-8")))
         print("added" if improve(found, key_of(entry), entry) else "the table has one as good")
         write(found)
+        draw(found)
         return
     for robots in range(options.robots[0], options.robots[1] + 1):
         for experiment in options.families:
             for seed in options.seeds:
                 work(found, experiment, robots, seed, options)
                 write(found)
+    draw(found)
 
 
 def work(found: dict[str, BestKnown], experiment: str, robots: int, seed: int, options: argparse.Namespace) -> None:
@@ -105,6 +110,24 @@ def work(found: dict[str, BestKnown], experiment: str, robots: int, seed: int, o
 def write(found: dict[str, BestKnown]) -> None:
     """Writes the table."""
     TABLE.write_text(best_known.to_json(found[key] for key in sorted(found)), encoding="utf-8")
+
+
+def draw(found: dict[str, BestKnown]) -> None:
+    """Draws the best-known patterns of one family: robots of radius 1 that gather anywhere."""
+    entries = [found[key] for key in sorted(found) if key.startswith("1 5 C2 ") and found[key].robots > 2]
+    patterns = [
+        view.PlatePattern(
+            upright(entry.positions),
+            entry.radius,
+            entry.scan_radius,
+            f"{entry.robots} robots · {'+'.join(map(str, convex_layers(entry.positions)))}",
+            f"{symmetry(entry.positions, EXACT).name.replace('_', '')} · {entry.value:.4f}",
+        )
+        for entry in entries
+    ]
+    title = f"Best-known patterns of {entries[0].robots} to {entries[-1].robots} robots"
+    figure = view.plate_figure(patterns, title, "no predefined point; all at one scale", columns=7)
+    view.save(figure, PICTURE, dpi=110)
 
 
 if __name__ == "__main__":

@@ -53,7 +53,9 @@ def test_no_entry_can_be_polished_further(entry):
 
 def test_the_table_has_every_swarm_size():
     have = {(entry.robots, entry.objective, entry.radius) for entry in TABLE}
-    assert {(n, c, r) for n in range(2, 13) for c in ("C1", "C2") for r in (0.4, 1.0)} <= have
+    wanted = {(n, c, r) for n in range(2, 17) for c in ("C1", "C2") for r in (0.4, 1.0)}
+    # With the scan radius of B and C no pattern of twelve or more is known in which everybody neighbours everybody.
+    assert have == wanted - {(n, "C1", 1.0) for n in range(12, 17)}
     assert len(have) == len(TABLE)
 
 
@@ -86,9 +88,11 @@ def test_where_nothing_is_known():
     assert not is_record(Target(replace(world, robots=40), "C1"), 4.0)
 
 
-def test_the_best_known_ring_of_ten_without_a_point_is_regular():
+def test_the_best_ring_of_ten_is_a_little_longer_than_wide():
     entry = next(e for e in TABLE if (e.robots, e.objective, e.radius) == (10, "C2", 1.0))
-    assert symmetry(entry.positions, 1e-6).name == "D_10"
+    assert symmetry(entry.positions, 1e-6).name == "D_2"
+    assert symmetry(entry.positions, 0.02).name == "D_10"
+    assert entry.value > entry.target.value(ring(10, 1.0, 5.0).positions) + 1e-5
 
 
 def entry_with(**changes):

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from murmurate.patterns import Catalogue, PatternClass
     from murmurate.view import PlatePattern
 
-__all__ = ["draw", "run"]
+__all__ = ["run", "show"]
 
 PLATE = "plate.png"
 MOST_DRAWN, MOST_LISTED = 48, 20
@@ -41,14 +41,20 @@ def run(argv: Sequence[str]) -> int:
     if not found:
         raise RunError(f"no valid pattern was found in {', '.join(options.runs)}")
     scaling, reflection = not options.no_scaling, not options.no_reflection
-    catalogue = Catalogue.of(found, tolerance=options.tolerance, scaling=scaling, reflection=reflection)
-    catalogues.save(catalogue, out)
-    draw(catalogue, out / PLATE)
-    _print(catalogue, out)
+    show(Catalogue.of(found, tolerance=options.tolerance, scaling=scaling, reflection=reflection), out)
     return 0
 
 
-def draw(catalogue: Catalogue, path: Path) -> None:
+def show(catalogue: Catalogue, out: Path) -> None:
+    """Writes a catalogue to a folder, with its plate, and prints its best classes."""
+    from murmurate.experiments import catalogues
+
+    catalogues.save(catalogue, out)
+    _draw(catalogue, out / PLATE)
+    _print(catalogue, out)
+
+
+def _draw(catalogue: Catalogue, path: Path) -> None:
     """Draws the plate of a catalogue's best classes."""
     from murmurate import view
 
@@ -68,7 +74,7 @@ def _picture(one: PatternClass, found: int) -> PlatePattern:
     from murmurate.patterns import upright
 
     best = one.representative
-    symmetry = "" if one.symmetry.name == "none" else f"{one.symmetry.name} · "
+    symmetry = "" if one.symmetry.name == "none" else f"{one.symmetry.name.replace('_', '')} · "
     caption = f"{symmetry}{_layers(one)} · {one.count} of {found}"
     note = f"{best.objective} {one.value:.4f}"
     if one.gap is not None:

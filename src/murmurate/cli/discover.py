@@ -31,8 +31,13 @@ def run(argv: Sequence[str]) -> int:
     options, flags = _parser(word if word in EXPERIMENTS else "C").parse(argv)
     overlay = read_toml(options.config) if options.config else {}
     config = presets.resolve(options.experiment, overlay, flags, learner=options.learner)
-    learner = options.learner or config.policy.kind
-    folder = Path(options.out or Path("runs") / f"{config.name}-{learner}-seed{config.seed}")
+    name = f"{config.name}-{options.learner or config.policy.kind}"
+    if options.seeds is not None or options.vary:
+        from murmurate.cli.many import discover_many, variants
+
+        configs = variants(config, options.seeds if options.seeds is not None else 1, options.vary)
+        return discover_many(configs, Path(options.out or "runs"), name, options.resume)
+    folder = Path(options.out or Path("runs") / f"{name}-seed{config.seed}")
     try:
         with Progress() as progress:
             discover(config, folder, options.resume, progress.update)
@@ -52,6 +57,10 @@ def _parser(shown: str) -> Parser:
     text = "whose numbers to begin with (default: those of the policy)"
     parser.add_argument("--learner", metavar=f"{{{names}}}", help=text)
     parser.add_argument("--resume", action="store_true", help="continue the run that the folder holds")
+    many = "train this many seeds, from --seed on, and catalogue what they find; --out is then the folder of all"
+    parser.add_argument("--seeds", type=int, metavar="INT", help=many)
+    vary = "with every seed, train with each of these values; may be given for several fields"
+    parser.add_argument("--vary", action="append", default=[], metavar="FIELD=VALUE,...", help=vary)
     parser.add_fields(presets.preset(shown), aliases={"policy.kind": "--policy"})
     parser.epilog = f"Defaults are those of experiment {shown} with the {presets.DEFAULT_LEARNER} learner."
     return parser

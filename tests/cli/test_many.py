@@ -1,0 +1,79 @@
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from murmurate.cli.main import main
+from murmurate.experiments.config import load
+
+
+def discover(tiny_toml, out, *words):
+    return main(["discover", str(tiny_toml), "--out", str(out), *words])
+
+
+def test_seeds_are_runs_of_their_own_and_fill_one_catalogue(tiny_toml, discovered, tmp_path, capsys):
+    assert discover(tiny_toml, tmp_path, "--seeds", "2") == 0
+    names = {path.name for path in tmp_path.iterdir()}
+    assert names == {"tiny-central-seed0", "tiny-central-seed1", "tiny-central-catalogue"}
+    assert [load(tmp_path / f"tiny-central-seed{seed}").seed for seed in (0, 1)] == [0, 1]
+    # A run of many is the run that it would be alone.
+    for file in ("policies/0-base.safetensors", "policies/1-auxiliary.safetensors", "evaluation.json"):
+        assert (tmp_path / "tiny-central-seed0" / file).read_bytes() == (discovered / file).read_bytes()
+    data = json.loads((tmp_path / "tiny-central-catalogue" / "catalogue.json").read_text())
+    assert {finding["seed"] for finding in data["findings"]} == {0, 1}
+    out = capsys.readouterr().out
+    assert out.count("| tiny | central |") == 2
+    assert "plate: " in out
+
+
+def test_they_are_resumed_and_never_overwritten(tiny_toml, tmp_path, capsys):
+    assert discover(tiny_toml, tmp_path / "tiny-central-seed0") == 0
+    before = (tmp_path / "tiny-central-seed0" / "manifest.json").read_bytes()
+    capsys.readouterr()
+    assert discover(tiny_toml, tmp_path, "--seeds", "2") == 2
+    assert "tiny-central-seed0 holds another run" in capsys.readouterr().err
+    assert not (tmp_path / "tiny-central-seed1").exists()
+    assert discover(tiny_toml, tmp_path, "--seeds", "2", "--resume") == 0
+    assert (tmp_path / "tiny-central-seed0" / "manifest.json").read_bytes() == before
+    assert discover(tiny_toml, tmp_path, "--seeds", "1", "--resume", "--base.horizon", "9") == 2
+    assert "base.horizon is 8 there, 9 here" in capsys.readouterr().err
+
+
+def test_fields_vary_with_every_seed(tiny_toml, tmp_path):
+    words = ["--vary", "auxiliary.ppo.discount=0.8,0.9", "--vary", "base.horizon=7", "--seed", "3"]
+    assert discover(tiny_toml, tmp_path, *words) == 0
+    found = {path.name: load(path) for path in tmp_path.iterdir() if "catalogue" not in path.name}
+    assert set(found) == {f"tiny-central-seed3-discount{discount}-horizon7" for discount in ("0.8", "0.9")}
+    assert {(one.auxiliary.ppo.discount, one.base.horizon, one.seed) for one in found.values()} == {
+        (0.8, 7, 3),
+        (0.9, 7, 3),
+    }
+
+
+def test_no_valid_pattern_in_any_of_them_is_status_3(tiny_toml, tmp_path, capsys):
+    assert discover(tiny_toml, tmp_path, "--seeds", "1", "--world.scan_radius", "2.5") == 3
+    assert "No valid pattern was discovered" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--seeds", "0"], "--seeds = 0: must be an integer >= 1"),
+        (["--seeds", "x"], "--seeds"),
+        (["--seed", "4294967295", "--seeds", "2"], "--seeds = 2: must be at most 1"),
+        (["--vary", "base.horizn=3"], "did you mean base.horizon?"),
+        (["--vary", "base.horizon"], "must be FIELD=VALUE,... with one or more values"),
+        (["--vary", "base.horizon=3,3"], "none of them twice"),
+        (["--vary", "base.horizon=3,x"], "base.horizon = 'x'"),
+        (["--vary", "base.horizon=0"], "base.horizon = 0: must be an integer >= 1"),
+        (["--vary", "seed=1,2"], "--vary = 'seed=1,2'"),
+    ],
+)
+def test_bad_words_are_one_line_and_leave_nothing(words, message, tiny_toml, tmp_path, capsys):
+    assert discover(tiny_toml, tmp_path / "many", *words) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert message in err
+    assert err.count("\n") == 1
+    assert not (tmp_path / "many").exists()
