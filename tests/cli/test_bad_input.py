@@ -48,7 +48,7 @@ def contents(folder):
         ("discover c", "or an existing TOML file; did you mean C?"),
         ("discover missing.toml", "experiment = 'missing.toml': must be one of"),
         ("discover C --config missing.toml", "missing.toml: No such file or directory"),
-        ("discover C --seeed 1", "unknown flag --seeed; did you mean --seed?"),
+        ("discover C --seeed 1", "unknown flag --seeed; did you mean --seed"),
         ("discover C --world.radus 1", "unknown flag --world.radus; did you mean --world.radius?"),
         ("discover C --policy centrl", "policy.kind = 'centrl': must be one of central, equivariant"),
         ("discover C --learner best", "learner = 'best': must be one of equivariant, central, paper"),
@@ -152,7 +152,7 @@ def test_another_run_is_not_overwritten(refused, discovered, tiny_toml, tmp_path
     line = refused("discover", tiny_toml, "--out", discovered)
     assert "holds another run: continue it with --resume, or choose another --out" in line
     line = refused("discover", tiny_toml, "--out", discovered, "--resume", "--seed", "1")
-    assert "holds another experiment: seed is 0 there, 1 here; choose another --out" in line
+    assert "holds another experiment: seed is 0 there, 1 here; choose another folder" in line
     assert contents(discovered) == before
     (tmp_path / "file").write_text("")
     assert "cannot write to file" in refused("discover", tiny_toml, "--out", "file", files=1)

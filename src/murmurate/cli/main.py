@@ -28,6 +28,7 @@ VERBS = {
     "optimum": "search for the best formation there is, or list the best known",
     "experiments": "list the experiments",
     "table": "write the results of many runs as a Markdown table",
+    "reproduce": "train everything, and write a report of the paper's tables and figures beside ours",
 }
 
 

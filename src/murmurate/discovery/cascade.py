@@ -127,7 +127,8 @@ def _begin(cascade: Cascade, positions: Float[Array, "robots 2 batch"]) -> tuple
     batch = positions.shape[-1]
     none = jnp.zeros(batch, jnp.int32)
     no = jnp.zeros(batch, bool)
-    changes = jnp.full((cascade.rest.window, batch), jnp.inf)
+    # Of a stated type, not a weak one: the next call would be compiled once more.
+    changes = jnp.full((cascade.rest.window, batch), jnp.inf, jnp.float32)
     switch = jnp.zeros((len(cascade.policies), batch), jnp.int32)
     status = _Status(cascade.world.state(positions), none, none, changes, none, switch, no, no)
     first = (positions, cascade.world.signals(positions))

@@ -110,5 +110,5 @@ def check_same(config: ExperimentConfig, folder: str | Path) -> None:
         if not same:
             raise RunError(
                 f"{folder} holds another experiment: {leaf.path} is {there[leaf.path]!r} there, {leaf.value!r} here; "
-                "choose another --out"
+                "choose another folder"
             )

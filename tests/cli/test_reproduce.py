@@ -1,0 +1,151 @@
+from __future__ import annotations
+
+import shutil
+
+import pytest
+
+from murmurate import view
+from murmurate.cli.main import main
+from murmurate.discovery import Discovery
+from murmurate.experiments import storage
+from murmurate.experiments.paper import EXPERIMENTS
+from murmurate.reports import plan as planning
+from murmurate.reports.plan import Plan, PlannedRun
+from tiny import tiny
+
+NAMES = ("tiny-central-seed0", "tiny-equivariant-seed1")
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    """The two runs of the plan, by `murmurate discover`; not to be changed."""
+    from murmurate.experiments.training import discover
+
+    folder = tmp_path_factory.mktemp("reproduce")
+    for seed, name in enumerate(NAMES):
+        discover(tiny(seed=seed), folder / name)
+    return folder
+
+
+@pytest.fixture
+def work(tmp_path, monkeypatch):
+    """An empty folder to work in, where all experiments are tiny and pictures are blank."""
+    from matplotlib.figure import Figure
+
+    def make_plan(seed, quick):
+        planning.make_plan.seen = (seed, quick)
+        ours = {name.split("-")[1]: PlannedRun(name, name.split("-")[1], tiny(seed=s)) for s, name in enumerate(NAMES)}
+        return Plan(seed, quick, dict.fromkeys(EXPERIMENTS, ours), {"scattered": {3: ours["equivariant"]}})
+
+    monkeypatch.setattr(planning, "make_plan", make_plan)
+    for name in ("robot", "visibility", "training", "reward", "formation", "patterns", "growth"):
+        monkeypatch.setattr(view, f"{name}_figure", lambda *_: Figure(figsize=(0.2, 0.1)))
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def finished(work, trained):
+    shutil.copytree(trained, work / "runs")
+    return work
+
+
+def contents(folder):
+    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_finished_runs_become_a_report(finished, capsys):
+    before = contents(finished / "runs")
+    assert main(["reproduce"]) == 0
+    out, err = capsys.readouterr()
+    assert err == ""
+    assert out.startswith("2 runs in runs: 2 finished, 0 to go on with, 0 to train\nrun 1 of 2: tiny, central: ")
+    assert "report: reproduction/report.html, reproduction/report.md\nnumbers: reproduction/report.json\n" in out
+    assert contents(finished / "runs") == before
+    assert storage.read_json("reproduction/report.json")["command"] == "murmurate reproduce"
+
+
+def test_options_are_in_the_command_of_the_report(finished):
+    (finished / "runs").rename(finished / "my runs")
+    words = ["reproduce", "--quick", "--out", "here", "--runs", "my runs", "--seed", "4"]
+    assert main(words) == 0
+    assert planning.make_plan.seen == (4, True)
+    numbers = storage.read_json("here/report.json")
+    assert (numbers["command"], numbers["quick"]) == (
+        "murmurate reproduce --quick --out here --runs 'my runs' --seed 4",
+        True,
+    )
+    assert "`murmurate reproduce --runs 'my runs' --seed 4` measures those" in (finished / "here/report.md").read_text()
+
+
+def test_a_quick_report_has_a_folder_of_its_own(finished):
+    assert main(["reproduce", "--quick"]) == 0
+    assert {path.name for path in finished.iterdir()} == {"runs", "reproduction-quick"}
+
+
+def test_an_interrupted_command_goes_on(work, trained, capsys, monkeypatch):
+    advance, left = Discovery.advance, [3]
+
+    def interrupted(self, snapshot):
+        if not left[0]:
+            raise KeyboardInterrupt
+        left[0] -= 1
+        return advance(self, snapshot)
+
+    monkeypatch.setattr(Discovery, "advance", interrupted)
+    assert main(["reproduce"]) == 130
+    out, err = capsys.readouterr()
+    assert out == "2 runs in runs: 0 finished, 0 to go on with, 2 to train\n"
+    assert err == "murmurate: interrupted; the same command goes on: murmurate reproduce\n"
+    monkeypatch.setattr(Discovery, "advance", advance)
+    assert main(["reproduce"]) == 0
+    assert "2 runs in runs: 0 finished, 1 to go on with, 1 to train\n" in capsys.readouterr().out
+    for name in NAMES:
+        checksums = [storage.read_manifest(runs / name)["checksums"] for runs in (work / "runs", trained)]
+        assert checksums[0] == checksums[1]
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        ("--out mine", "mine holds other files: choose another --out"),
+        ("--out mine/notes.txt", "cannot write to mine/notes.txt: Not a directory"),
+        ("--runs mine --out ./mine", "--out and --runs are the same folder: the report needs one of its own"),
+        ("--runs bad", "bad/tiny-equivariant-seed1 holds other files"),
+        ("--seed many", "argument --seed: invalid int value: 'many'"),
+        ("--sed 1", "unknown flag --sed; did you mean --seed?"),
+        ("A", "unrecognized arguments: A"),
+    ],
+)
+def test_refused_before_anything_is_trained(work, capsys, monkeypatch, words, line):
+    monkeypatch.setattr(Discovery, "advance", None)
+    for path in ("mine", "bad/tiny-equivariant-seed1"):
+        (work / path).mkdir(parents=True)
+        (work / path / "notes.txt").write_text("mine")
+    assert main(["reproduce", *words.split()]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith(f"murmurate: {line}")
+    assert err.count("\n") == 1
+    assert sorted(path.name for path in work.rglob("*")) == [
+        "bad",
+        "mine",
+        "notes.txt",
+        "notes.txt",
+        "tiny-equivariant-seed1",
+    ]
+
+
+def test_a_bad_seed_is_one_line(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["reproduce", "--seed", "-1"]) == 2
+    assert "seed = -1: must be an integer from 0 to" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_help(capsys):
+    assert main(["reproduce", "--help"]) == 0
+    out = capsys.readouterr().out
+    assert out.startswith("usage: murmurate reproduce [options]\n")
+    for flag in ("--quick", "--out DIR", "--runs DIR", "--seed INT"):
+        assert flag in out
