@@ -4,9 +4,12 @@ import csv
 import json
 import shutil
 
+import numpy as np
 import pytest
 
 from murmurate.cli.main import main
+from murmurate.experiments import catalogues
+from murmurate.patterns import Catalogue, Finding
 from tiny import write_toml
 
 
@@ -78,19 +81,25 @@ def test_without_scaling_a_tolerance_is_needed(discovered, tmp_path, capsys):
     assert main(["catalogue", str(discovered), "--no-scaling", "--tolerance", "1", "--out", str(tmp_path / "y")]) == 0
 
 
-def test_what_cannot_be_put_together(discovered, tmp_path, capsys):
-    other = tmp_path / "other"
-    toml = write_toml(tmp_path / "four.toml", world={"robots": 4})
-    assert main(["discover", str(toml), "--out", str(other)]) in (0, 3)
-    wide = tmp_path / "wide"
-    toml = write_toml(tmp_path / "wide.toml", world={"radius": 0.9})
-    assert main(["discover", str(toml), "--out", str(wide)]) in (0, 3)
-    capsys.readouterr()
-    out = tmp_path / "out"
-    refused(capsys, [discovered, other, "--out", out], "robots = [3, 4]: must be the same number in all findings")
-    words = [discovered, wide, "--no-scaling", "--tolerance", "1", "--out", out]
+def folder_of(path, robots, radius):
+    """A catalogue with one finding, a ring."""
+    angles = 2 * np.pi * np.arange(robots) / robots
+    ring = 9 * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    told = {"objective": "C2", "value": 3.9, "gap": None, "experiment": "ring", "policy": "central", "start": "random"}
+    sizes = {"radius": radius, "safe_distance": 5.0, "scan_radius": 50.0}
+    finding = Finding(positions=ring, **sizes, **told, seed=0, run=path.name, episode=0)
+    catalogues.save(Catalogue.of([finding]), path)
+    return path
+
+
+def test_what_cannot_be_put_together(tmp_path, capsys):
+    three, four = folder_of(tmp_path / "three", 3, 1.0), folder_of(tmp_path / "four", 4, 1.0)
+    small, out = folder_of(tmp_path / "small", 3, 0.9), tmp_path / "out"
+    refused(capsys, [three, four, "--out", out], "robots = [3, 4]: must be the same number in all findings")
+    words = [three, small, "--no-scaling", "--tolerance", "1", "--out", out]
     refused(capsys, words, "radius = [0.9, 1.0]: must be the same in all findings")
     assert not out.exists()
+    assert main(["catalogue", str(three), str(small), "--out", str(out)]) == 0
 
 
 def test_folders_that_are_no_runs(tmp_path, discovered, capsys):
