@@ -33,7 +33,7 @@ benchmark: $(VENV)/.installed  ## world and training speed beside JaxMARL's; wri
 results: $(VENV)/.installed  ## trains A-F with both policies and three seeds (hours); writes docs/results.md
 	$(BIN)/python -m benchmarks.results
 
-optima: $(VENV)/.installed  ## searches for better patterns than the best known (an hour); keeps what is better
+optima: $(VENV)/.installed  ## searches for better patterns than the best known (two hours); keeps what is better
 	$(BIN)/python -m benchmarks.optima
 
 clean:
