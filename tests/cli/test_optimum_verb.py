@@ -53,7 +53,8 @@ def test_weights_are_heeded(capsys):
         (["C", "--annealing.chains", "0"], "annealing.chains = 0"),
         (["C", "--objective", "C9"], "objective = 'C9': must be one of C1, C2"),
         (["C", "--anealing.chains", "3"], "did you mean --annealing.chains?"),
-        (["C", "D"], "D"),
+        (["C", "D"], "unrecognized arguments: D"),
+        (["C", "--out", "nowhere/best.json"], "nowhere is no folder: choose another --out"),
     ],
 )
 def test_bad_words_are_one_line(words, message, capsys):

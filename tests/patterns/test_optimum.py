@@ -82,6 +82,7 @@ def test_formations_that_are_the_same_pattern_count_once():
     ("field", "values"),
     [
         ("chains", {"chains": 0}),
+        ("chains", {"chains": 2**31 - 1}),
         ("cold", {"cold": 1.0}),
         ("fine", {"fine": 2.0}),
         ("hot", {"hot": float("nan")}),

@@ -41,6 +41,8 @@ def run(argv: Sequence[str]) -> int:
     out = None if options.out is None else Path(options.out)
     if out is not None and out.exists():
         raise RunError(f"{out} is there already: choose another --out")
+    if out is not None and not out.parent.is_dir():
+        raise RunError(f"{out.parent} is no folder: choose another --out")
     return _search(config, out, " ".join(["murmurate optimum", *argv]))
 
 

@@ -125,7 +125,10 @@ class Evaluation:
             RunError: A file cannot be written.
         """
         record = self.record()
-        if record is not None:
+        if record is None:
+            with storage.one_line(f"cannot write to {folder}"):
+                (Path(folder) / RECORD).unlink(missing_ok=True)
+        else:
             storage.write_json(Path(folder) / RECORD, record.to_dict())
         storage.write_npz(Path(folder) / TRAJECTORIES, self.arrays())
         storage.write_json(Path(folder) / EVALUATION, self.summary())

@@ -15,12 +15,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from murmurate.errors import MOST, InputError, check_number
+from murmurate.errors import GREATEST, InputError, check_number
 from murmurate.geometry import distances
 
 __all__ = ["AnnealingConfig", "anneal"]
 
 Score = Callable[[Float[Array, "robots 2 chains"]], Float[Array, " chains"]]
+
+MOST_CHAINS, MOST_SWEEPS = 100_000, 1_000_000
+"""So that all chains fit in memory, and moves can be counted in 32 bits."""
 
 
 @dataclass(frozen=True)
@@ -46,10 +49,10 @@ class AnnealingConfig:
     jumps: float = 0.02
 
     def __post_init__(self) -> None:
-        for name in ("chains", "sweeps"):
-            check_number(name, getattr(self, name), 1, MOST, integer=True)
+        check_number("chains", self.chains, 1, MOST_CHAINS, integer=True)
+        check_number("sweeps", self.sweeps, 1, MOST_SWEEPS, integer=True)
         for name in ("hot", "cold", "step", "fine"):
-            check_number(name, getattr(self, name), 0, exclusive_low=True)
+            check_number(name, getattr(self, name), 0, GREATEST, exclusive_low=True)
         check_number("jumps", self.jumps, 0, 1)
         for high, low in (("hot", "cold"), ("step", "fine")):
             if getattr(self, low) > getattr(self, high):
