@@ -16,7 +16,7 @@ from jaxtyping import Float
 from murmurate.errors import InputError, RunError
 from murmurate.experiments import config as configuration
 from murmurate.experiments import storage, tables
-from murmurate.experiments.evaluation import FRESH, TRAJECTORIES
+from murmurate.experiments.evaluation import EVALUATION, FRESH, TRAJECTORIES
 from murmurate.patterns import Catalogue, Finding
 from murmurate.patterns.best_known import best_known
 from murmurate.patterns.formation import Target
@@ -44,11 +44,14 @@ def findings(folder: str | Path) -> tuple[Finding, ...]:
     manifest = storage.read_manifest(folder)
     storage.verify(folder, manifest)
     config, summary = configuration.load(folder), tables.read_evaluation(folder)
+    failures = summary.get("failures")
+    if not isinstance(failures, list):
+        raise RunError(f"{folder / EVALUATION} lacks failures: make it again with murmurate evaluate {folder}")
     target = Target(config.world, config.objective)
     known = best_known(target)
     found = []
     for episode, positions in enumerate(_finals(folder, config.world.robots)):
-        if episode in summary["failures"]:
+        if episode in failures:
             continue
         value = target.value(positions)
         found.append(
