@@ -33,6 +33,7 @@ def test_each_entry_is_a_valid_pattern_of_the_stated_value(entry):
     sizes = (entry.half_width, entry.half_height, entry.radius, entry.scan_radius, entry.safe_distance)
     measured = signals.signals(positions, {"C1": "close", "C2": "nclose"}[entry.objective], *sizes, "penalty")
     assert sum(measured.values()) == pytest.approx(entry.value, abs=1e-12)
+    assert entry.signals == pytest.approx(measured, abs=1e-8)
 
 
 @pytest.mark.parametrize("entry", TABLE, ids=NAMES)
@@ -108,6 +109,8 @@ def entry_with(**changes):
         (entry_with(positions=[[0, "x"]]), r"^positions = "),
         (entry_with(positions=[[0.0, float("nan")]] * TABLE[0].robots), r"^positions = "),
         (entry_with(value=TABLE[0].value + 1e-9), r"^value = "),
+        (entry_with(signals={**TABLE[0].signals, "visible": 0.9}), r"^signals = "),
+        (entry_with(signals=3), r"^signals = "),
     ],
 )
 def test_an_entry_that_is_none_is_refused(data, message):

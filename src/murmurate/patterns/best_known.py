@@ -9,7 +9,7 @@ import dataclasses
 import functools
 import json
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from importlib import resources
 from typing import Any
@@ -42,6 +42,7 @@ class BestKnown:
         half_width: X of the world in which `value` is measured; the pattern itself fits other worlds too.
         half_height: Its Y.
         value: The objective, all weights 1.
+        signals: Its signals by name.
         positions: Centres, world units.
         command: What made it.
         hop: What basin hopping reached, the check by another method; None where it was not tried.
@@ -55,6 +56,7 @@ class BestKnown:
     half_width: float
     half_height: float
     value: float
+    signals: Mapping[str, float]
     positions: Float[np.ndarray, "robots 2"]
     command: str
     hop: float | None = None
@@ -65,9 +67,14 @@ class BestKnown:
     ) -> BestKnown:
         """Makes an entry of a pattern."""
         sizes = {name: getattr(target.world, name) for name in _SIZES}
-        value = target.value(positions)
         return cls(
-            objective=target.objective, value=value, positions=np.asarray(positions), command=command, hop=hop, **sizes
+            objective=target.objective,
+            value=target.value(positions),
+            signals=_measured(target, positions),
+            positions=np.asarray(positions),
+            command=command,
+            hop=hop,
+            **sizes,
         )
 
     @classmethod
@@ -90,6 +97,10 @@ class BestKnown:
         found = cls(**{**entry, "positions": positions})
         if not isinstance(found.value, float) or abs(found.target.value(positions) - found.value) > 1e-12:
             raise InputError("value", found.value, f"{found.target.value(positions)!r}, as its positions have")
+        measured = _measured(found.target, positions)
+        given = found.signals if isinstance(found.signals, dict) else {}
+        if given.keys() != measured.keys() or any(abs(given[name] - measured[name]) > 1e-8 for name in given):
+            raise InputError("signals", found.signals, f"{measured}, as its positions have")
         return found
 
     @property
@@ -106,6 +117,12 @@ class BestKnown:
     def scaled(self, safe_distance: float) -> Float[np.ndarray, "robots 2"]:
         """Returns the positions for another safe distance (and the radius in the same ratio to it)."""
         return self.positions * (safe_distance / self.safe_distance)
+
+
+def _measured(target: Target, positions: Float[np.ndarray, "robots 2"]) -> dict[str, float]:
+    """Returns the signals, rounded: the last bits are not the same on every machine."""
+    signals = target.signals(np.asarray(positions, float))
+    return {name: round(float(value), 9) for name, value in signals.items()}
 
 
 _SIZES = ("robots", "radius", "safe_distance", "scan_radius", "half_width", "half_height")
