@@ -60,8 +60,8 @@ STUDY = _paragraph("""
     The paper trains swarms of 4 to 10 robots from distributed and scattered starts and says that the steps vary almost
     linearly with the swarm size. It prints neither the numbers nor the sizes of those worlds. Here R = 1, the safe
     distance is 5, the speed limit 1, the scan radius 20, and X = Y = 20 + 2.5 N: the published 35, 40 and 45 for 6, 8
-    and 10 robots lie on this line, and its continuation to other sizes is ours. Eight scattered and ten distributed
-    robots are experiments B and C, the same runs. The objective is C1, the policy equivariant.
+    and 10 robots lie on this line, and its continuation to other sizes is ours. Every run has the
+    objective C1, the equivariant policy and the learner of experiment C, which is its run of ten distributed robots.
 """)
 
 DIFFERENCES = (
