@@ -2,7 +2,9 @@ from __future__ import annotations
 
 import json
 
+import numpy as np
 import pytest
+from safetensors.numpy import load_file
 
 from murmurate.cli.main import main
 from murmurate.experiments.config import load
@@ -25,6 +27,19 @@ def test_seeds_are_runs_of_their_own_and_fill_one_catalogue(tiny_toml, discovere
     out = capsys.readouterr().out
     assert out.count("| tiny | central |") == 2
     assert "plate: " in out
+
+
+def test_side_by_side_they_end_as_in_turn(tiny_toml, discovered, tmp_path, capsys):
+    words = ["--seeds", "2", "--together", "3", "--vary", "auxiliary.ppo.discount=0.8,0.9"]
+    assert discover(tiny_toml, tmp_path, *words) == 0
+    alone, beside = discovered, tmp_path / "tiny-central-seed0-discount0.9"
+    assert load(beside) == load(alone)
+    for name in ("0-base", "1-auxiliary"):
+        a, b = (load_file(folder / "policies" / f"{name}.safetensors") for folder in (alone, beside))
+        assert a.keys() == b.keys()
+        for key in a:
+            np.testing.assert_allclose(a[key], b[key], rtol=1e-3, atol=1e-4)
+    assert len([path for path in tmp_path.iterdir() if (path / "manifest.json").exists()]) == 4
 
 
 def test_they_are_resumed_and_never_overwritten(tiny_toml, tmp_path, capsys):
@@ -67,6 +82,8 @@ def test_no_valid_pattern_in_any_of_them_is_status_3(tiny_toml, tmp_path, capsys
         (["--vary", "base.horizon=3,3"], "none of them twice"),
         (["--vary", "base.horizon=3,x"], "base.horizon = 'x'"),
         (["--vary", "base.horizon=0"], "base.horizon = 0: must be an integer >= 1"),
+        (["--seeds", "2", "--together", "0"], "--together = 0: must be an integer >= 1"),
+        (["--together", "2"], "--together is for many runs: it needs --seeds or --vary"),
         (["--vary", "seed=1,2"], "--vary = 'seed=1,2'"),
     ],
 )

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from murmurate.cli.arguments import Parser
-from murmurate.errors import RunError
+from murmurate.errors import RunError, UsageError
 from murmurate.experiments.paper import EXPERIMENTS, check_experiment
 
 __all__ = ["run"]
@@ -36,7 +36,9 @@ def run(argv: Sequence[str]) -> int:
         from murmurate.cli.many import discover_many, variants
 
         configs = variants(config, options.seeds if options.seeds is not None else 1, options.vary)
-        return discover_many(configs, Path(options.out or "runs"), name, options.resume)
+        return discover_many(configs, Path(options.out or "runs"), name, options.resume, options.together)
+    if options.together is not None:
+        raise UsageError("--together is for many runs: it needs --seeds or --vary")
     folder = Path(options.out or Path("runs") / f"{name}-seed{config.seed}")
     try:
         with Progress() as progress:
@@ -61,6 +63,8 @@ def _parser(shown: str) -> Parser:
     parser.add_argument("--seeds", type=int, metavar="INT", help=many)
     vary = "with every seed, train with each of these values; may be given for several fields"
     parser.add_argument("--vary", action="append", default=[], metavar="FIELD=VALUE,...", help=vary)
+    side = "train this many of them side by side in one program (default: all on an accelerator, 1 on a CPU)"
+    parser.add_argument("--together", type=int, metavar="INT", help=side)
     parser.add_fields(presets.preset(shown), aliases={"policy.kind": "--policy"})
     parser.epilog = f"Defaults are those of experiment {shown} with the {presets.DEFAULT_LEARNER} learner."
     return parser

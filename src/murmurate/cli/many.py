@@ -1,4 +1,4 @@
-"""`murmurate discover --seeds K`: many discoveries of one experiment, in turn, and one catalogue of what they found."""
+"""`murmurate discover --seeds K`: many discoveries of one experiment, and one catalogue of what they found."""
 
 from __future__ import annotations
 
@@ -54,32 +54,46 @@ def _choices(text: str, leaves: Mapping[str, Any]) -> list[tuple[str, str]]:
     return [(path, value) for value in texts]
 
 
-def discover_many(configs: Mapping[str, ExperimentConfig], out: Path, name: str, resume: bool) -> int:
-    """Runs experiments in turn, each to a folder of its own, and catalogues what they found.
+def discover_many(
+    configs: Mapping[str, ExperimentConfig], out: Path, name: str, resume: bool, together: int | None = None
+) -> int:
+    """Runs experiments, each to a folder of its own, and catalogues what they found.
 
     Args:
         configs: The experiments, by what tells their folders apart.
         out: The folder of all runs.
         name: What their folders are called, but for that.
         resume: Go on with the runs that are there already.
+        together: How many train side by side in one program; by default all on an accelerator, and one on a CPU,
+            which gains nothing by it.
 
     Returns:
         0, or 3 when no valid pattern was discovered.
+
+    Raises:
+        InputError: `together` is out of bounds.
     """
+    import jax
+
     from murmurate.cli.catalogue import show
     from murmurate.cli.progress import Progress
-    from murmurate.experiments.training import discover
+    from murmurate.experiments.training import discover_together
 
+    if together is None:
+        together = 1 if jax.default_backend() == "cpu" else len(configs)
+    check_number("--together", together, 1, MOST, integer=True)
     folders = {out / f"{name}-{label}": config for label, config in configs.items()}
     catalogue = out / f"{name}-catalogue"
     catalogues.look(catalogue)
     for folder, config in folders.items():
         if storage.look(folder, resume) != "new":
             check_same(config, folder)
-    for place, (folder, config) in enumerate(folders.items(), start=1):
+    for first in range(0, len(folders), together):
+        part = dict(itertools.islice(folders.items(), first, first + together))
+        numbers = f"{first + 1}" if len(part) == 1 else f"{first + 1}-{first + len(part)}"
         try:
             with Progress() as progress:
-                discover(config, folder, resume, _numbered(progress.update, f"{place} of {len(folders)}: "))
+                discover_together(part, resume, _numbered(progress.update, f"{numbers} of {len(folders)}: "))
         except KeyboardInterrupt:
             raise KeyboardInterrupt("interrupted; add --resume to the same command to go on") from None
     print(tables.as_markdown(tables.RESULTS, tables.results(folders)), end="")
@@ -92,5 +106,5 @@ def discover_many(configs: Mapping[str, ExperimentConfig], out: Path, name: str,
 
 
 def _numbered(update: Any, prefix: str) -> Any:
-    """Puts a run's number before what its progress line tells."""
+    """Puts the number of a run, or of several, before what the progress line tells."""
     return lambda work, *args, **values: update(prefix + work, *args, **values)

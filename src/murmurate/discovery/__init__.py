@@ -1,6 +1,6 @@
 """Algorithms 1 and 2: base and auxiliary policies, the cascade that executes them, and what counts as valid."""
 
-from murmurate.discovery.algorithm import Discovery, Problem, Snapshot, policy_name
+from murmurate.discovery.algorithm import Discovery, Problem, Snapshot, advance_together, policy_name
 from murmurate.discovery.cascade import Cascade, RestRule, Trajectories
 from murmurate.discovery.config import DiscoveryConfig, StageConfig
 from murmurate.discovery.validity import Verdict, bound_steps, judge
@@ -15,6 +15,7 @@ __all__ = [
     "StageConfig",
     "Trajectories",
     "Verdict",
+    "advance_together",
     "bound_steps",
     "judge",
     "policy_name",

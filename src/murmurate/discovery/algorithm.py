@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,7 +15,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from murmurate.discovery.cascade import Cascade, RestRule
 from murmurate.discovery.config import DiscoveryConfig, StageConfig
 from murmurate.discovery.validity import judge
-from murmurate.learning import Hyperparameters, Repeated, Shape, TrainState, init, train_chunk
+from murmurate.learning import Chunk, Hyperparameters, Repeated, Shape, TrainState, init, train_together
 from murmurate.policies import PolicyConfig, Sizes, make_networks
 from murmurate.world import (
     Anywhere,
@@ -29,7 +30,7 @@ from murmurate.world import (
     make_start,
 )
 
-__all__ = ["Discovery", "Problem", "Snapshot", "policy_name"]
+__all__ = ["Discovery", "Problem", "Snapshot", "advance_together", "policy_name"]
 
 
 @dataclass(frozen=True)
@@ -146,15 +147,24 @@ class Discovery:
         Returns:
             The new snapshot, and the metrics of every update of the chunk.
         """
+        return advance_together([self], [snapshot])[0]
+
+    def _chunk(self, snapshot: Snapshot) -> Chunk:
+        """Returns the updates to run next."""
         index = len(snapshot.policies)
         stage = self.problem.stage(index)
         train = snapshot.train or self._init(index, snapshot)
-        done = int(train.update)
-        updates = min(self.problem.discovery.chunk, stage.ppo.updates - done)
-        hyper = Hyperparameters.create(stage.ppo)
+        updates = min(self.problem.discovery.chunk, stage.ppo.updates - int(train.update))
         env = Repeated(self._training_world(index, snapshot), jnp.asarray(stage.repeat))
-        train, metrics = train_chunk(train, env, hyper, Shape.create(stage.ppo), updates)
-        rows = _rows(jax.device_get(metrics), index, done, stage)
+        return Chunk(train, env, Hyperparameters.create(stage.ppo), Shape.create(stage.ppo), updates)
+
+    def _after(
+        self, snapshot: Snapshot, train: TrainState, metrics: dict[str, Any]
+    ) -> tuple[Snapshot, list[dict[str, Any]]]:
+        """Returns the snapshot after a chunk of updates, and their metrics."""
+        index = len(snapshot.policies)
+        stage = self.problem.stage(index)
+        rows = _rows(jax.device_get(metrics), index, int(train.update), stage)
         if int(train.update) < stage.ppo.updates:
             return replace(snapshot, train=train), rows
         return self._conclude(snapshot, train.policy), rows
@@ -224,6 +234,25 @@ class Discovery:
         return init(policy, value, state, self._draw(index, "training"))
 
 
+def advance_together(
+    discoveries: Sequence[Discovery], snapshots: Sequence[Snapshot]
+) -> list[tuple[Snapshot, list[dict[str, Any]]]]:
+    """Runs one chunk of updates of each of many discoveries, in one program where their shapes agree.
+
+    Args:
+        discoveries: Of any experiments; what differs in numbers only, such as seeds, weights or discounts, agrees.
+        snapshots: How far each has come; none of them is finished.
+
+    Returns:
+        What `Discovery.advance` returns, for each. It is the same as alone, but for the order of floating-point sums.
+    """
+    chunks = [one._chunk(snapshot) for one, snapshot in zip(discoveries, snapshots, strict=True)]
+    return [
+        one._after(snapshot, *trained)
+        for one, snapshot, trained in zip(discoveries, snapshots, train_together(chunks), strict=True)
+    ]
+
+
 # Outside of a jit, the loop that redraws overlaps would be compiled anew at every call.
 @eqx.filter_jit
 def _reset(world: World, key: PRNGKeyArray, batch: int) -> Any:
@@ -240,8 +269,9 @@ def _with_array_leaves(tree: Any) -> Any:
 
 
 def _rows(metrics: dict[str, Any], index: int, done: int, stage: StageConfig) -> list[dict[str, Any]]:
-    """Turns stacked metrics into one row an update."""
+    """Turns stacked metrics of the last updates, `done` of them by now, into one row an update."""
     count = len(metrics["reward"])
+    done -= count
     rows = []
     for i in range(count):
         row = jax.tree.map(lambda x, i=i: float(x[i]), metrics)

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import platform
+import statistics
 import time
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import jax
 
 from murmurate import __version__
-from murmurate.discovery import Discovery, policy_name
+from murmurate.discovery import Discovery, advance_together, policy_name
 from murmurate.experiments import checkpoint, storage, trees
 from murmurate.experiments import config as configuration
 from murmurate.experiments.checkpoint import Checkpoint
@@ -20,7 +21,7 @@ from murmurate.experiments.config import ExperimentConfig
 from murmurate.experiments.evaluation import EPISODES, evaluate
 from murmurate.experiments.run import METRICS, Run, policy_files
 
-__all__ = ["NOTHING_VALID", "VALID", "discover"]
+__all__ = ["NOTHING_VALID", "VALID", "discover", "discover_together"]
 
 VALID = "valid patterns discovered"
 NOTHING_VALID = "no valid pattern was discovered"
@@ -50,57 +51,113 @@ def discover(
         InputError: The experiment is impossible; nothing has been written.
         RunError: The folder holds another run, is damaged, or cannot be written to.
     """
-    folder, tell = Path(folder), on_progress or (lambda *_, **__: None)
-    storage.look(folder, resume)
-    discovery = Discovery(config)
-    found = storage.claim(folder, resume)
-    if found != "new":
-        configuration.check_same(config, folder)
-    if found == "finished":
-        checkpoint.remove(folder)
-        return Run.open(folder)
-    configuration.save(config, folder)
-    point = _train(discovery, folder, checkpoint.load(folder, discovery), tell)
-    return _finish(discovery, config, folder, point, tell)
+    return discover_together({Path(folder): config}, resume, on_progress)[0]
 
 
-def _train(discovery: Discovery, folder: Path, point: Checkpoint, tell: Callable[..., None]) -> Checkpoint:
-    """Goes on from a checkpoint until the list of policies is complete."""
-    storage.truncate_lines(folder / METRICS, point.rows)
-    if not point.snapshot.finished:
-        _tell(discovery, point, tell, note="compiling")
-    while not point.snapshot.finished:
-        before = point
-        point, rows = _advance(discovery, before)
-        # Rows first: those beyond the checkpoint are cut off on resuming, but missing ones could not be made up.
-        storage.append_lines(folder / METRICS, rows)
-        checkpoint.save(folder, point)
-        last = rows[-1]
-        values = {"reward": last["reward"], "visible": last["signals"]["visible"]}
-        if point.snapshot.train is None:
-            values["valid"] = point.snapshot.valid
-        _tell(discovery, before, tell, last["update"], steps_per_second=last["steps_per_second"], **values)
-    return point
+def discover_together(
+    configs: Mapping[Path, ExperimentConfig], resume: bool = False, on_progress: Callable[..., None] | None = None
+) -> list[Run]:
+    """Runs many discoveries side by side, those of the same shapes in one compiled program, each to its own folder.
+
+    On an accelerator this takes little longer than one of them; on a CPU as long as one after the other.
+
+    Args:
+        configs: What to discover, and how, by the run folder.
+        resume: Continue what the folders hold.
+        on_progress: See `discover`; told of is the discovery that is furthest behind, with means over all.
+
+    Returns:
+        The finished runs, in the order of the folders.
+
+    Raises:
+        InputError: An experiment is impossible; nothing has been written.
+        RunError: A folder holds another run, is damaged, or cannot be written to.
+    """
+    tell = on_progress or (lambda *_, **__: None)
+    for folder, config in configs.items():
+        if storage.look(folder, resume) != "new":
+            configuration.check_same(config, folder)
+    discoveries = {folder: Discovery(config) for folder, config in configs.items()}
+    works = []
+    for folder, discovery in discoveries.items():
+        if storage.claim(folder, resume) == "finished":
+            checkpoint.remove(folder)
+            continue
+        configuration.save(configs[folder], folder)
+        point = checkpoint.load(folder, discovery)
+        storage.truncate_lines(folder / METRICS, point.rows)
+        works.append(_Work(configs[folder], folder, discovery, point))
+    ran = {work.folder: _finish(work, tell) for work in _train(works, tell)}
+    return [ran.get(folder) or Run.open(folder) for folder in configs]
 
 
-def _advance(discovery: Discovery, point: Checkpoint) -> tuple[Checkpoint, list[dict[str, Any]]]:
-    """Runs one chunk of updates and completes its rows of metrics."""
+@dataclass(frozen=True, eq=False)
+class _Work:
+    """A discovery under way.
+
+    Attributes:
+        config: What is to be discovered, and how.
+        folder: Its run folder.
+        discovery: The search.
+        point: How far it has come.
+    """
+
+    config: ExperimentConfig
+    folder: Path
+    discovery: Discovery
+    point: Checkpoint
+
+    @property
+    def place(self) -> tuple[int, int]:
+        """How far it has come, to compare: policies, and updates of the one in training."""
+        snapshot = self.point.snapshot
+        return len(snapshot.policies), 0 if snapshot.train is None else int(snapshot.train.update)
+
+
+def _train(works: Sequence[_Work], tell: Callable[..., None]) -> list[_Work]:
+    """Goes on from checkpoints until every list of policies is complete."""
+    works = list(works)
+    running = [place for place, work in enumerate(works) if not work.point.snapshot.finished]
+    if running:
+        _tell([works[place] for place in running], tell, note="compiling")
+    while running:
+        before = [works[place] for place in running]
+        after, rows = _advance(before)
+        for place, work in zip(running, after, strict=True):
+            works[place] = work
+        _tell(before, tell, rows, after)
+        running = [place for place in running if not works[place].point.snapshot.finished]
+    return works
+
+
+def _advance(works: Sequence[_Work]) -> tuple[list[_Work], list[dict[str, Any]]]:
+    """Runs one chunk of updates of each and keeps what came of it; returns the last row of metrics of each as well."""
     begun = time.perf_counter()
-    snapshot, rows = discovery.advance(point.snapshot)
+    advanced = advance_together([work.discovery for work in works], [work.point.snapshot for work in works])
     took = time.perf_counter() - begun
-    index, problem = len(point.snapshot.policies), discovery.problem
-    earlier = _environment_steps(discovery, index)
-    done = [
-        {
-            "environment_steps": earlier + row.pop("policy_steps"),
-            **row,
-            "objective": sum(row["signals"].values()),
-            "steps_per_second": len(rows) * problem.stage(index).steps_per_update / took,
-            "seconds": point.seconds + took * (place + 1) / len(rows),
-        }
-        for place, row in enumerate(rows)
-    ]
-    return replace(point, snapshot=snapshot, rows=point.rows + len(rows), seconds=point.seconds + took), done
+    after, last = [], []
+    for work, (snapshot, rows) in zip(works, advanced, strict=True):
+        point, index = work.point, len(work.point.snapshot.policies)
+        steps = work.discovery.problem.stage(index).steps_per_update
+        # Of the time that all took together, each is charged an equal part.
+        share = took / len(works)
+        done = [
+            {
+                "environment_steps": _environment_steps(work.discovery, index) + row.pop("policy_steps"),
+                **row,
+                "objective": sum(row["signals"].values()),
+                "steps_per_second": len(rows) * steps / share,
+                "seconds": point.seconds + share * (place + 1) / len(rows),
+            }
+            for place, row in enumerate(rows)
+        ]
+        point = replace(point, snapshot=snapshot, rows=point.rows + len(rows), seconds=point.seconds + share)
+        # Rows first: those beyond the checkpoint are cut off on resuming, but missing ones could not be made up.
+        storage.append_lines(work.folder / METRICS, done)
+        checkpoint.save(work.folder, point)
+        after.append(replace(work, point=point))
+        last.append(done[-1])
+    return after, last
 
 
 def _environment_steps(discovery: Discovery, policies: int) -> int:
@@ -109,18 +166,31 @@ def _environment_steps(discovery: Discovery, policies: int) -> int:
     return sum(stage.ppo.updates * stage.steps_per_update for stage in stages)
 
 
-def _tell(discovery: Discovery, point: Checkpoint, tell: Callable[..., None], done: int = 0, **values: Any) -> None:
-    index = len(point.snapshot.policies)
-    work = f"{policy_name(index)} policy{f' {index}' if index > 1 else ''}"
-    if not done and point.snapshot.train is not None:
-        done = int(point.snapshot.train.update)
-    tell(work, done, discovery.problem.stage(index).ppo.updates, **values)
+def _tell(
+    works: Sequence[_Work],
+    tell: Callable[..., None],
+    rows: Sequence[Mapping[str, Any]] = (),
+    after: Sequence[_Work] = (),
+    **values: Any,
+) -> None:
+    """Tells of the work that is furthest behind, by what it was before a chunk, and of the means over all of them."""
+    behind = min(range(len(works)), key=lambda place: works[place].place)
+    index, done = works[behind].place
+    if rows:
+        done = rows[behind]["update"]
+        values["steps_per_second"] = statistics.fmean(row["steps_per_second"] for row in rows)
+        values["reward"] = statistics.fmean(row["reward"] for row in rows)
+        values["visible"] = statistics.fmean(row["signals"]["visible"] for row in rows)
+    if after and after[behind].point.snapshot.train is None:
+        values["valid"] = statistics.fmean(work.point.snapshot.valid for work in after)
+    name = f"{policy_name(index)} policy{f' {index}' if index > 1 else ''}"
+    work = f"{name} of {len(works)} runs" if len(works) > 1 else name
+    tell(work, done, works[behind].discovery.problem.stage(index).ppo.updates, **values)
 
 
-def _finish(
-    discovery: Discovery, config: ExperimentConfig, folder: Path, point: Checkpoint, tell: Callable[..., None]
-) -> Run:
+def _finish(work: _Work, tell: Callable[..., None]) -> Run:
     """Writes policies, evaluation and, last of all, the manifest: from then on the run is finished."""
+    discovery, config, folder, point = work.discovery, work.config, work.folder, work.point
     snapshot = point.snapshot
     tell("evaluation", 0, EPISODES, note=f"{EPISODES} fresh starts")
     files = policy_files(len(snapshot.policies))

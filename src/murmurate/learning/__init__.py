@@ -5,9 +5,11 @@ from murmurate.learning.config import Hyperparameters, PPOConfig, Schedule, Shap
 from murmurate.learning.environment import Environment, Repeated, Transition, restarting_step
 from murmurate.learning.losses import Batch, policy_loss, value_loss
 from murmurate.learning.ppo import Rollout, TrainState, collect, init, train_chunk
+from murmurate.learning.together import Chunk, train_together
 
 __all__ = [
     "Batch",
+    "Chunk",
     "Environment",
     "Hyperparameters",
     "PPOConfig",
@@ -25,5 +27,6 @@ __all__ = [
     "restarting_step",
     "rewards_to_go",
     "train_chunk",
+    "train_together",
     "value_loss",
 ]

@@ -1,0 +1,64 @@
+"""Trainings side by side end where each of them ends alone."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import probes
+import pytest
+from probes import CONFIG, Line, begin, parabola, train
+
+from murmurate.learning import Chunk, Hyperparameters, PPOConfig, Shape, train_together
+
+
+def line(horizon):
+    return Line(jnp.asarray(horizon))
+
+
+def chunk(seed=0, horizon=10, updates=5, **numbers):
+    config, env = PPOConfig(**{**CONFIG, **numbers}), line(horizon)
+    return Chunk(begin(env, parabola(), seed), env, Hyperparameters.create(config), Shape.create(config), updates)
+
+
+def assert_close(found, expected):
+    assert jax.tree.structure(found) == jax.tree.structure(expected)
+    for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
+        assert a.dtype == b.dtype
+        np.testing.assert_allclose(a, b, rtol=2e-3, atol=2e-4)
+
+
+def test_seeds_and_numbers_side_by_side_are_each_alone():
+    wanted = [{"seed": 0}, {"seed": 1, "discount": 0.5}, {"seed": 2, "horizon": 4, "policy_rate": 0.02}]
+    trained = train_together([chunk(**words) for words in wanted])
+    for words, found in zip(wanted, trained, strict=True):
+        seed, horizon = words.pop("seed"), words.pop("horizon", 10)
+        env = line(horizon)
+        assert_close(found, train(begin(env, parabola(), seed), env, 5, **words))
+    policies = [np.concatenate([np.ravel(x) for x in jax.tree.leaves(state.policy)]) for state, _ in trained]
+    assert np.abs(policies[0] - policies[1]).max() > 1e-3
+    assert np.abs(policies[1] - policies[2]).max() > 1e-3
+
+
+def test_they_are_one_program():
+    train_together([chunk(seed) for seed in (0, 1)])
+    before = probes.traces
+    train_together([chunk(seed, discount=0.7) for seed in (3, 4)])
+    assert probes.traces == before
+
+
+@pytest.mark.parametrize("changed", [{"updates": 3}, {"epochs": 1}, {"steps": 4}])
+def test_other_programs_run_apart_and_keep_their_places(changed):
+    ours, other = chunk(0), chunk(1, **changed)
+    assert ours.program != other.program
+    assert ours.program == chunk(5, discount=0.3).program
+    first, second, third = train_together([ours, other, chunk(2)])
+    assert [int(state.update) for state, _ in (first, second, third)] == [5, changed.get("updates", 5), 5]
+    assert_close(first, train(ours.state, ours.env, 5))
+    assert_close(third, train(begin(line(10), parabola(), 2), line(10), 5))
+
+
+def test_copies_stay_copies():
+    first, second = train_together([chunk(7), chunk(7)])
+    assert_close(first, second)
+    assert_close(first, train(begin(line(10), parabola(), 7), line(10), 5))
