@@ -6,7 +6,7 @@ EXPERIMENT ?= C
 SEED ?= 0
 OUT ?= runs/$(EXPERIMENT)-equivariant-seed$(SEED)
 
-.PHONY: discover test lint benchmark results optima clean
+.PHONY: discover test lint benchmark results seeds optima clean
 
 $(VENV)/.installed: pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "murmurate needs Python >= 3.11; set PYTHON=...")'
@@ -32,6 +32,9 @@ benchmark: $(VENV)/.installed  ## world and training speed beside JaxMARL's; wri
 
 results: $(VENV)/.installed  ## trains A-F with both policies and three seeds (hours); writes docs/results.md
 	$(BIN)/python -m benchmarks.results
+
+seeds: $(VENV)/.installed  ## trains sixteen seeds of A-F (an hour or two); writes docs/discoveries.md
+	$(BIN)/python -m benchmarks.seeds
 
 optima: $(VENV)/.installed  ## searches for better patterns than the best known (two hours); keeps what is better
 	$(BIN)/python -m benchmarks.optima

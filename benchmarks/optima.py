@@ -121,7 +121,7 @@ def draw(found: dict[str, BestKnown]) -> None:
             entry.radius,
             entry.scan_radius,
             f"{entry.robots} robots · {'+'.join(map(str, convex_layers(entry.positions)))}",
-            f"{symmetry(entry.positions, EXACT).name.replace('_', '')} · {entry.value:.4f}",
+            f"{symmetry(entry.positions, EXACT).symbol or 'no symmetry'} · {entry.value:.4f}",
         )
         for entry in entries
     ]

@@ -59,6 +59,29 @@ def test_the_longest_list_of_policies_stays_within_the_budget(learner):
     assert sum(stage.ppo.updates * stage.steps_per_update for stage in stages) <= 4_000_000
 
 
+def test_what_is_tuned_for_an_experiment_changes_nothing_else():
+    assert set(presets.TUNED) <= set(EXPERIMENTS)
+    for name, overlay in presets.TUNED.items():
+        tuned = {leaf.path: leaf.value for leaf in fields.leaves(presets.preset(name))}
+        numbers = presets.LEARNERS[presets.DEFAULT_LEARNER]
+        untuned = replace(
+            presets.preset(name), auxiliary=numbers.auxiliary, discovery=numbers.discovery, rest=numbers.rest
+        )
+        usual = {leaf.path: leaf.value for leaf in fields.leaves(untuned)}
+        changed = {path: value for path, value in tuned.items() if usual[path] != value}
+        assert changed == dict(flat(overlay))
+        for learner in ("central", "paper"):
+            assert presets.preset(name, learner).auxiliary == presets.LEARNERS[learner].auxiliary
+
+
+def flat(overlay, path=""):
+    for name, value in overlay.items():
+        if isinstance(value, dict):
+            yield from flat(value, f"{path}{name}.")
+        else:
+            yield path + name, value
+
+
 def test_the_papers_learner_goes_the_papers_way():
     learner = presets.LEARNERS["paper"]
     assert learner.policy.hidden == (400, 300, 300)

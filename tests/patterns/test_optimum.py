@@ -8,7 +8,7 @@ import pytest
 from murmurate.errors import InputError
 from murmurate.patterns.annealing import AnnealingConfig, anneal
 from murmurate.patterns.best_known import best_known
-from murmurate.patterns.optimum import Formation, OptimumConfig, distinct, hop, search
+from murmurate.patterns.optimum import Formation, OptimumConfig, annealed, distinct, hop, search
 from murmurate.world import WeightsConfig, WorldConfig
 
 SHORT = AnnealingConfig(chains=32, sweeps=300)
@@ -23,6 +23,17 @@ def test_a_short_search_finds_the_best_known_five(objective):
     assert found[0].value == pytest.approx(best_known(config.target), abs=1e-8)
     values = [one.value for one in found if one.valid]
     assert values == sorted(values, reverse=True)
+
+
+def test_annealing_alone_is_as_many_ends_as_are_polished():
+    config = OptimumConfig(replace(WORLD, scan_radius=100.0), "C1", annealing=SHORT, polished=6)
+    ends = annealed(config)
+    assert len(ends) == 6
+    assert max(one.value for one in ends if one.valid) == pytest.approx(best_known(config.target), abs=1e-8)
+    searched = search(config)
+    for end in ends:
+        assert min(abs(end.value - one.value) for one in searched) < 1e-4
+    assert annealed(replace(config, polished=0)) == []
 
 
 def test_basin_hopping_agrees_with_annealing():

@@ -122,6 +122,8 @@ def test_the_mirror_against_every_axis():
 
 def test_a_robot_alone_and_coincident_robots_are_defined():
     assert symmetry(CENTRE).name == "D_1"
+    assert symmetry(CENTRE).symbol == "D₁"
+    assert symmetry(ring(12)).symbol == "D₁₂"
     coincident = symmetry(np.ones((4, 2)))
     assert coincident.mirrored
     assert coincident.residual == 0

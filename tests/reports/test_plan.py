@@ -60,7 +60,9 @@ def test_a_quick_report_has_the_same_problems_and_smaller_budgets():
         before = {leaf.path: leaf.value for leaf in fields.leaves(by_name[run.name.removeprefix("quick-")].config)}
         for leaf in fields.leaves(run.config):
             if before[leaf.path] != leaf.value:
-                assert leaf.path.endswith(("ppo.updates", "ppo.worlds", "max_policies", "sigma", "episodes"))
+                assert leaf.path.endswith(
+                    ("ppo.updates", "ppo.worlds", "min_policies", "max_policies", "sigma", "episodes")
+                )
                 assert leaf.value < before[leaf.path]
 
 

@@ -74,8 +74,8 @@ def _picture(one: PatternClass, found: int) -> PlatePattern:
     from murmurate.patterns import upright
 
     best = one.representative
-    symmetry = "" if one.symmetry.name == "none" else f"{one.symmetry.name.replace('_', '')} · "
-    caption = f"{symmetry}{_layers(one)} · {one.count} of {found}"
+    symbol = one.symmetry.symbol
+    caption = f"{symbol}{' · ' * bool(symbol)}{_layers(one)} · {one.count} of {found}"
     note = f"{best.objective} {one.value:.4f}"
     if one.gap is not None:
         note += f", {100 * one.gap / (one.gap + one.value):.2f}% short"

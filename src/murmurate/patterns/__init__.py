@@ -5,6 +5,7 @@ NumPy and SciPy only. `murmurate.geometry.similarity` says when two configuratio
 
 from murmurate.patterns.catalogue import TOLERANCE, Catalogue, Finding, PatternClass, merge
 from murmurate.patterns.measures import convex_layers, nearest_distances, visibility_margin
+from murmurate.patterns.novelty import unmatched
 from murmurate.patterns.symmetry import SYMMETRY_TOLERANCE, Symmetry, symmetry, upright
 
 __all__ = [
@@ -18,6 +19,7 @@ __all__ = [
     "merge",
     "nearest_distances",
     "symmetry",
+    "unmatched",
     "upright",
     "visibility_margin",
 ]

@@ -23,7 +23,7 @@ from murmurate.patterns.formation import Target
 from murmurate.patterns.polish import polish
 from murmurate.world import OBJECTIVES, Objective, WeightsConfig, WorldConfig
 
-__all__ = ["Formation", "OptimumConfig", "distinct", "hop", "search"]
+__all__ = ["Formation", "OptimumConfig", "annealed", "distinct", "hop", "search"]
 
 REQUIRED = 100.0
 """Weight of what a valid pattern needs, against gathering: then no chain ever gives any of it up."""
@@ -95,22 +95,32 @@ def search(config: OptimumConfig) -> list[Formation]:
     Returns:
         Distinct local optima, best first; with `only_valid`, those that are no valid patterns come last.
     """
-    target, world = config.target, config.world
+    target = config.target
     wide = _without_limits(target)
-    starts = [polish(positions, wide) for positions in nested_rings(wide)]
-    if config.polished:
-        chains = anneal(
-            _score(target, config.only_valid),
-            robots=world.robots,
-            radius=world.radius,
-            safe_distance=world.safe_distance,
-            bounds=(world.half_width, world.half_height),
-            seed=config.seed,
-            config=config.annealing,
-        )
-        starts += list(chains[: config.polished])
-    found = [Formation.of(polish(positions, target), target) for positions in starts]
-    return distinct(found, world.safe_distance, config.only_valid)
+    rings = [polish(polish(positions, wide), target) for positions in nested_rings(wide)]
+    found = [Formation.of(positions, target) for positions in rings] + annealed(config)
+    return distinct(found, config.world.safe_distance, config.only_valid)
+
+
+def annealed(config: OptimumConfig) -> list[Formation]:
+    """Searches by annealing alone, without any start that is made by hand.
+
+    Returns:
+        The polished ends of the best chains, as many as `config.polished`, alike ones among them.
+    """
+    target, world = config.target, config.world
+    if not config.polished:
+        return []
+    chains = anneal(
+        _score(target, config.only_valid),
+        robots=world.robots,
+        radius=world.radius,
+        safe_distance=world.safe_distance,
+        bounds=(world.half_width, world.half_height),
+        seed=config.seed,
+        config=config.annealing,
+    )
+    return [Formation.of(polish(positions, target), target) for positions in chains[: config.polished]]
 
 
 def nested_rings(target: Target) -> Iterator[Float[np.ndarray, "robots 2"]]:

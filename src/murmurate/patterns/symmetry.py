@@ -35,6 +35,9 @@ like a pentagon around a sixth robot misses by 0.05 to 0.1. From 0.12 on, one se
 """
 
 
+_SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
+
+
 @dataclass(frozen=True)
 class Symmetry:
     """The symmetry group of a configuration.
@@ -56,6 +59,12 @@ class Symmetry:
         if self.mirrored:
             return f"D_{self.rotations}"
         return f"C_{self.rotations}" if self.rotations > 1 else "none"
+
+    @property
+    def symbol(self) -> str:
+        """The name with a subscript, so that no group C_2 is taken for the objective C2; empty for none."""
+        letter, _, number = self.name.partition("_")
+        return letter + number.translate(_SUBSCRIPTS) if number else ""
 
 
 def symmetry(positions: Float[np.ndarray, "robots 2"], tolerance: float = SYMMETRY_TOLERANCE) -> Symmetry:

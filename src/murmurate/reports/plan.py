@@ -136,7 +136,7 @@ def _quickened(config: ExperimentConfig, learner: str) -> ExperimentConfig:
         return replace(like, ppo=replace(like.ppo, updates=updates, worlds=budget.worlds))
 
     # As many episodes everywhere as the evaluation has: a cascade is then compiled once for each length of its list.
-    discovery = replace(config.discovery, max_policies=2, sigma=EPISODES, episodes=EPISODES)
+    discovery = replace(config.discovery, min_policies=2, max_policies=2, sigma=EPISODES, episodes=EPISODES)
     return replace(
         config,
         base=stage(config.base, budget.base),

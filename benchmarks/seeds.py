@@ -1,0 +1,222 @@
+"""What many seeds discover, beside what an annealer finds: `make seeds`; writes docs/discoveries.md and its plates.
+
+python -m benchmarks.seeds [--runs runs/seeds] [--out docs] [--seeds 16] [--experiments A B C D E F] [--only-finished]
+"""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from murmurate import view
+from murmurate.experiments import catalogues, tables
+from murmurate.experiments.evaluation import EPISODES
+from murmurate.experiments.paper import EXPERIMENTS
+from murmurate.experiments.presets import preset
+from murmurate.patterns import Catalogue, Finding, PatternClass, unmatched, upright
+from murmurate.patterns.formation import Target
+from murmurate.patterns.optimum import Formation, OptimumConfig, annealed
+from murmurate.patterns.polish import polish
+
+WORLDS = 128
+"""Parallel episodes of each training: half of the default, so that all of it takes an hour and not two."""
+
+SEARCHES, POLISHED = 4, 64
+"""Annealings of each problem, and how many of the 256 chains of each are polished."""
+
+MOST_DRAWN = 14
+
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    """What was found of one experiment.
+
+    Attributes:
+        experiment: A to F.
+        catalogue: What its runs discovered; None where no pattern was valid.
+        annealed: What annealing found: valid patterns, in classes too.
+        unseen: Classes of the runs that annealing never found.
+        tightened: Those of them, polished, that annealing did not find either.
+        missed: Classes of the annealing that no run discovered.
+    """
+
+    experiment: str
+    catalogue: Catalogue | None
+    annealed: Catalogue
+    unseen: tuple[PatternClass, ...]
+    tightened: tuple[PatternClass, ...]
+    missed: tuple[PatternClass, ...]
+
+
+def train(experiment: str, seeds: int, runs: Path) -> None:
+    """Trains the seeds of one experiment, or goes on with them."""
+    words = ["discover", experiment, "--seeds", str(seeds), "--out", str(runs), "--resume"]
+    words += ["--base.ppo.worlds", str(WORLDS), "--auxiliary.ppo.worlds", str(WORLDS)]
+    done = subprocess.run([sys.executable, "-m", "murmurate", *words], check=False)
+    if done.returncode not in (0, 3):
+        raise SystemExit(done.returncode)
+
+
+def study(experiment: str, seeds: int, runs: Path) -> Study:
+    """Sorts what the runs of one experiment discovered, anneals the same problem, and compares."""
+    folders = [runs / f"{experiment}-equivariant-seed{seed}" for seed in range(seeds)]
+    found = [finding for folder in folders for finding in catalogues.findings(folder)]
+    ours = Catalogue.of(found) if found else None
+    theirs = Catalogue.of(anneal(experiment))
+    if ours is None:
+        return Study(experiment, None, theirs, (), (), theirs.classes)
+    ends = [finding.positions for finding in theirs.findings]
+    unseen = unmatched(ours, ends)
+    tight = [finding for pattern in unseen if (finding := _polished(experiment, pattern)) is not None]
+    tightened = unmatched(Catalogue.of(tight), ends) if tight else ()
+    missed = unmatched(theirs, [finding.positions for finding in found])
+    return Study(experiment, ours, theirs, unseen, tightened, missed)
+
+
+def _polished(experiment: str, pattern: PatternClass) -> Finding | None:
+    """Returns the local optimum next to a class's representative; None where that is no valid pattern."""
+    config, best = preset(experiment), pattern.representative
+    target = Target(config.world, config.objective)
+    positions = polish(best.positions, target)
+    return replace(best, positions=positions, value=target.value(positions)) if target.is_valid(positions) else None
+
+
+def anneal(experiment: str) -> list[Finding]:
+    """Returns the valid patterns that annealing ends in."""
+    config = preset(experiment)
+    searches = [OptimumConfig(config.world, config.objective, polished=POLISHED, seed=seed) for seed in range(SEARCHES)]
+    ends = [(search, place, one) for search in searches for place, one in enumerate(annealed(search)) if one.valid]
+    return [_finding(experiment, search, place, one) for search, place, one in ends]
+
+
+def _finding(experiment: str, search: OptimumConfig, place: int, one: Formation) -> Finding:
+    world = search.world
+    return Finding(
+        positions=one.positions,
+        radius=world.radius,
+        safe_distance=world.safe_distance,
+        scan_radius=world.scan_radius,
+        objective=search.objective,
+        value=one.value,
+        gap=None,
+        experiment=experiment,
+        policy="annealing",
+        start="none",
+        seed=search.seed,
+        run=f"annealing {search.seed}",
+        episode=place,
+    )
+
+
+HEADER = (
+    *("experiment", "robots", "objective", "runs with a valid pattern", "valid patterns", "best gap"),
+    *("distinct", "in several runs", "never annealed", "polished too", "annealed", "never discovered"),
+)
+
+
+def row(one: Study, seeds: int) -> tuple[str, ...]:
+    """Returns one experiment's row of the table."""
+    paper, episodes = EXPERIMENTS[one.experiment], seeds * EPISODES
+    classes = one.catalogue.classes if one.catalogue else ()
+    findings = one.catalogue.findings if one.catalogue else ()
+    gaps = [finding.gap / (finding.gap + finding.value) for finding in findings if finding.gap is not None]
+    several = [pattern for pattern in classes if len(pattern.seeds) > 1]
+    counts = (classes, several, one.unseen, one.tightened, one.annealed.classes, one.missed)
+    return (
+        *(one.experiment, str(paper.robots), paper.objective),
+        f"{len({finding.run for finding in findings})} of {seeds}",
+        f"{len(findings)} of {episodes}",
+        f"{100 * min(gaps):.2f}%" if gaps else tables.NONE,
+        *(str(len(group)) for group in counts),
+    )
+
+
+def plate(robots: int, studies: Sequence[Study], path: Path) -> None:
+    """Draws the commonest patterns of a swarm size, those of both objectives together, best first."""
+    found = [finding for one in studies if one.catalogue for finding in one.catalogue.findings]
+    if not found:
+        return
+    everything = Catalogue.of(found)
+    commonest = sorted(everything.classes, key=lambda pattern: -pattern.count)[:MOST_DRAWN]
+    shown = sorted(commonest, key=lambda pattern: everything.classes.index(pattern))
+    subtitle = f"{len(everything.classes)} distinct among {len(found)} valid patterns; "
+    subtitle += "all" if len(shown) == len(everything.classes) else f"the {len(shown)} that were found most often"
+    pictures = [picture(pattern, len(found)) for pattern in shown]
+    view.save(view.plate_figure(pictures, f"Patterns of {robots} robots", subtitle, columns=7), path, dpi=110)
+
+
+def picture(pattern: PatternClass, found: int) -> view.PlatePattern:
+    """Captions one pattern of a plate."""
+    best, symbol = pattern.representative, pattern.symmetry.symbol
+    caption = "+".join(map(str, pattern.layers)) + ("" if not symbol else f" · {symbol}")
+    note = f"{best.objective} {best.value:.4f} · {100 * pattern.count / found:.1f}%"
+    return view.PlatePattern(upright(best.positions), best.radius, best.scan_radius, caption, note)
+
+
+PAGE = """# Discoveries
+
+What {seeds} seeds of each experiment discover, and which of it a search that never moves a robot does not find. Made by
+`make seeds`, which trains what is missing and writes this page.
+
+Each row is {seeds} trainings with the default settings but {worlds} parallel episodes instead of 256, so half of the
+default budget, each evaluated on {episodes} fresh starts. Their valid final patterns are sorted into classes as
+`murmurate catalogue` does: the same up to moving, turning, relabelling, mirroring and scaling, within 0.125 root mean
+square radii.
+
+*Annealed* are the distinct valid patterns among {ends} ends of simulated annealing: the best of {searches} searches of
+256 chains, polished under the exact constraints (`murmurate optimum` without its hand-made rings). *Never annealed* are
+the classes of the runs whose representative matches none of these ends, *never discovered* the annealed ones whose
+representative matches no pattern of the runs. A pattern of a run need not be a local optimum: it is where a policy
+comes to rest. So the representatives that annealing never found are polished as well; *polished too* counts those that
+are still unlike everything annealed.
+
+{table}
+{plates}"""
+
+
+def main() -> None:
+    """Trains what is missing and writes the page."""
+    parser = argparse.ArgumentParser(description="Trains many seeds of A-F, and says what they discover.")
+    parser.add_argument("--runs", type=Path, default=Path("runs/seeds"))
+    parser.add_argument("--out", type=Path, default=Path("docs"))
+    parser.add_argument("--seeds", type=int, default=16)
+    parser.add_argument("--experiments", nargs="+", choices=list(EXPERIMENTS), default=list(EXPERIMENTS))
+    parser.add_argument("--only-train", action="store_true", help="write nothing yet")
+    parser.add_argument("--only-finished", action="store_true", help="train nothing")
+    options = parser.parse_args()
+    if not options.only_finished:
+        for experiment in options.experiments:
+            train(experiment, options.seeds, options.runs)
+    if options.only_train:
+        return
+    studies = [study(experiment, options.seeds, options.runs) for experiment in options.experiments]
+    write(studies, options.seeds, options.out)
+
+
+def write(studies: Sequence[Study], seeds: int, out: Path) -> None:
+    """Writes the page and its plates."""
+    figures = out / "figures"
+    figures.mkdir(parents=True, exist_ok=True)
+    plates = []
+    for robots in sorted({EXPERIMENTS[one.experiment].robots for one in studies}):
+        name = f"discovered-{robots}.png"
+        plate(robots, [one for one in studies if EXPERIMENTS[one.experiment].robots == robots], figures / name)
+        plates.append(f"![Patterns of {robots} robots that the runs discovered](figures/{name})\n")
+    text = PAGE.format(
+        seeds=seeds,
+        worlds=WORLDS,
+        episodes=EPISODES,
+        searches=SEARCHES,
+        ends=SEARCHES * POLISHED,
+        table=tables.as_markdown(HEADER, [row(one, seeds) for one in studies]),
+        plates="\n".join(plates),
+    )
+    (out / "discoveries.md").write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
