@@ -97,8 +97,13 @@ Every row is one training with the default settings, evaluated greedily on 200 f
 U(-2R, 2R), none of them seen in training. *Valid* needs all of: no contact at any moment of any step, nobody
 outside, at rest, all robots neighbours, all pairs mutually visible, no pair nearer than the safe distance. Steps are
 means over ALL episodes, valid or not. The *bound* is the fewest steps in which any controller gets from that start
-to that pattern. Row E of the paper's table prints a total that is not the sum of its parts; both are shown. Training
-seconds are of this page's runs: two single-threaded processes side by side on two cores, busy with tests at times.
+to that pattern. The *gap* is by how much the objective, mean of all episodes, is below that of the
+[best-known pattern](patterns.md), in percent of it. Row E of the paper's table prints a total that is not the sum of
+its parts; both are shown. Training seconds are of this page's runs: two single-threaded processes side by side on two
+cores, busy with tests at times.
+
+The [report](reproduction/report.md) that `murmurate reproduce --out docs/reproduction` writes holds the rows of seed 0
+beside the paper's tables and figures, and all of their numbers in [report.json](reproduction/report.json).
 
 {results}
 ![The patterns that the equivariant policy found in experiments A to F](figures/patterns.png)
