@@ -14,6 +14,8 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from murmurate import view
 from murmurate.experiments.optima import EXACT
 from murmurate.experiments.presets import preset
@@ -22,6 +24,7 @@ from murmurate.patterns.annealing import AnnealingConfig
 from murmurate.patterns.best_known import BestKnown
 from murmurate.patterns.formation import Target
 from murmurate.patterns.optimum import OptimumConfig, hop, search
+from murmurate.patterns.polish import polish
 
 PICTURE = Path("docs/figures/best-known.png")
 TABLE = Path(best_known.__file__).with_name(best_known.TABLE)
@@ -73,7 +76,8 @@ def main() -> None:
         write(found)
         draw(found)
         return
-    for robots in range(options.robots[0], options.robots[1] + 1):
+    # From large to small: without its outermost robot, a good pattern is a good start for one robot less.
+    for robots in reversed(range(options.robots[0], options.robots[1] + 1)):
         for experiment in options.families:
             for seed in options.seeds:
                 work(found, experiment, robots, seed, options)
@@ -95,6 +99,9 @@ def work(found: dict[str, BestKnown], experiment: str, robots: int, seed: int, o
     best = BestKnown.of(sought, optima[0].positions, command)
     key = key_of(best)
     better = improve(found, key, best)
+    parent = found.get(f"{key[:-2]}{robots + 1:02}")
+    if parent is not None:
+        better |= improve(found, key, heir(parent, sought))
     checked = hop(config) if options.hops else None
     if checked and checked.valid:
         entry = BestKnown.of(sought, checked.positions, f"{command} --hops {options.hops}")
@@ -105,6 +112,14 @@ def work(found: dict[str, BestKnown], experiment: str, robots: int, seed: int, o
     hopped = f"hop {checked.value:.7f}{'' if checked.valid else '!'}" if checked else ""
     took = time.perf_counter() - begun
     print(f"{experiment} {robots:2} {values} {hopped} {'BETTER' if better else ''} {took:.0f} s", flush=True)
+
+
+def heir(parent: BestKnown, sought: Target) -> BestKnown:
+    """Makes an entry of a pattern of one robot more, by leaving its outermost robot out and polishing."""
+    middle = np.zeros(2) if sought.objective == "C1" else parent.positions.mean(axis=0)
+    outermost = np.linalg.norm(parent.positions - middle, axis=1).argmax()
+    positions = polish(np.delete(parent.positions, outermost, axis=0), sought)
+    return BestKnown.of(sought, positions, "python -m benchmarks.optima")
 
 
 def write(found: dict[str, BestKnown]) -> None:

@@ -99,8 +99,7 @@ outside, at rest, all robots neighbours, all pairs mutually visible, no pair nea
 means over ALL episodes, valid or not. The *bound* is the fewest steps in which any controller gets from that start
 to that pattern. The *gap* is by how much the objective, mean of all episodes, is below that of the
 [best-known pattern](patterns.md), in percent of it. Row E of the paper's table prints a total that is not the sum of
-its parts; both are shown. Training seconds are of this page's runs: two single-threaded processes side by side on two
-cores, busy with tests at times.
+its parts; both are shown. Training seconds are of this page's runs: up to four processes side by side on two cores.
 
 The [report](reproduction/report.md) that `murmurate reproduce --out docs/reproduction` writes holds the rows of seed 0
 beside the paper's tables and figures, and all of their numbers in [report.json](reproduction/report.json).

@@ -111,7 +111,7 @@ def test_a_pattern_that_beats_the_table_is_offered_as_a_record(tmp_path, monkeyp
     record = BestKnown.from_dict(storage.read_json(tmp_path / "record.json"))
     assert record.positions == pytest.approx(TRIANGLE, abs=1e-6)
     assert record.value == pytest.approx(evaluation.summary()["best_found"])
-    assert record.command == "murmurate discover tiny --seed 0"
+    assert record.command == "murmurate discover tiny.toml --seed 0"
     monkeypatch.undo()
     evaluation.save(tmp_path)
     assert not (tmp_path / "record.json").exists()

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 import subprocess
 import sys
 from dataclasses import replace
@@ -151,3 +152,24 @@ def test_unknown_experiments(word):
 def test_names_and_sizes_are_known_without_jax():
     code = "import sys, murmurate.experiments.paper, murmurate.experiments.fields; sys.exit('jax' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_the_command_of_an_experiment_makes_it_again():
+    for flags in (
+        {},
+        {"seed": 7, "policy": {"kind": "central"}, "base": {"ppo": {"worlds": 64}}},
+        {"policy": {"hidden": [8, 4]}, "auxiliary": {"warm_start": False}, "start": {"noise": 0.5}},
+    ):
+        config = presets.resolve("F", flags)
+        assert parsed(presets.command(config)) == config
+    assert presets.command(presets.preset("F")) == "murmurate discover F --seed 0"
+    assert presets.command(replace(presets.preset("F"), name="my own")) == "murmurate discover 'my own.toml' --seed 0"
+
+
+def parsed(command):
+    """Reads a command as `murmurate discover` does."""
+    from murmurate.cli.discover import _parser
+
+    _, _, *words = shlex.split(command)
+    options, flags = _parser("F").parse(words)
+    return presets.resolve(options.experiment, flags)

@@ -8,7 +8,7 @@ import pytest
 from murmurate.errors import InputError
 from murmurate.patterns.annealing import AnnealingConfig, anneal
 from murmurate.patterns.best_known import best_known
-from murmurate.patterns.optimum import Formation, OptimumConfig, annealed, distinct, hop, search
+from murmurate.patterns.optimum import Formation, OptimumConfig, annealed, distinct, hop, nested_rings, search
 from murmurate.world import WeightsConfig, WorldConfig
 
 SHORT = AnnealingConfig(chains=32, sweeps=300)
@@ -110,3 +110,20 @@ def test_impossible_searches():
         OptimumConfig(WORLD, "C3")
     with pytest.raises(InputError, match=r"^hops = -1"):
         OptimumConfig(WORLD, "C1", hops=-1)
+
+
+@pytest.mark.parametrize("robots", [3, 4, 7, 9])
+def test_rings_to_begin_with_are_of_the_right_size(robots):
+    target = OptimumConfig(replace(WORLD, robots=robots), "C1").target
+    starts = list(nested_rings(target))
+    assert len(starts) == 2 * min(5, robots - 2)
+    assert all(positions.shape == (robots, 2) for positions in starts)
+
+
+def test_around_one_robot_an_odd_ring_with_an_empty_place_is_valid_where_the_even_one_is_not():
+    """Six places around one in the middle hide opposite robots from each other, however wide; seven do not."""
+    world = replace(WORLD, robots=7, scan_radius=200.0, half_width=100.0, half_height=100.0)
+    target = OptimumConfig(world, "C1").target
+    full, empty = list(nested_rings(target))[2:4]
+    assert not target.is_valid(full)
+    assert target.is_valid(empty)

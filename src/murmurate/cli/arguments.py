@@ -60,7 +60,8 @@ class Parser(argparse.ArgumentParser):
             if section not in groups:
                 groups[section] = self.add_argument_group(section or "experiment", _summary(config, section))
             names = [alias for path, alias in (aliases or {}).items() if path == leaf.path] + [f"--{leaf.path}"]
-            text = f"{leaf.help} (default: {_shown(leaf.value)})".strip().replace("%", "%%")
+            default = fields.spelled(leaf.value) or "''"
+            text = f"{leaf.help} (default: {default})".strip().replace("%", "%%")
             groups[section].add_argument(
                 *names, dest=leaf.path, metavar=_metavar(leaf.kind), help=text, default=argparse.SUPPRESS
             )
@@ -123,15 +124,6 @@ def _summary(config: Any, section: str) -> str | None:
         config = getattr(config, name)
     text = inspect.getdoc(type(config)) if dataclasses.is_dataclass(config) else None
     return text.partition("\n")[0].replace("%", "%%") if text else None
-
-
-def _shown(value: Any) -> str:
-    """Writes a value as its flag takes it."""
-    if isinstance(value, tuple):
-        return ",".join(map(_shown, value)) or "''"
-    if value is None or isinstance(value, bool):
-        return str(value).lower()
-    return str(value) or "''"
 
 
 def _metavar(kind: Any) -> str:

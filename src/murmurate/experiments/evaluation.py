@@ -14,6 +14,7 @@ from jaxtyping import Float
 from murmurate.discovery import Trajectories, Verdict, bound_steps, judge
 from murmurate.experiments import storage
 from murmurate.experiments.config import ExperimentConfig
+from murmurate.experiments.presets import command
 from murmurate.experiments.run import Run
 from murmurate.patterns.best_known import BestKnown, best_known, is_record
 from murmurate.patterns.formation import Target
@@ -101,8 +102,8 @@ class Evaluation:
         """Returns the best pattern as an entry for the table of best-known patterns, if it beats the table."""
         if self.best is None or not is_record(self.target, float(self.values[self.best])):
             return None
-        command = f"murmurate discover {self.experiment.name} --seed {self.experiment.seed}"
-        return BestKnown.of(self.target, self.trajectories.final[self.best].astype(float), command)
+        final = self.trajectories.final[self.best].astype(float)
+        return BestKnown.of(self.target, final, command(self.experiment))
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Returns what trajectories.npz holds."""

@@ -34,6 +34,7 @@ __all__ = [
     "optional",
     "parse",
     "replaced",
+    "spelled",
     "to_dict",
 ]
 
@@ -150,6 +151,13 @@ def parse(kind: Any, text: str, path: str) -> Any:
     with contextlib.suppress(KeyError, ValueError):  # text that cannot be read stays text, which is then refused
         value = _READERS.get(inner, str)(text)
     return _converted(inner, value, path)
+
+
+def spelled(value: Any) -> str:
+    """Writes a leaf's value as its flag takes it: what `parse` reads."""
+    if isinstance(value, tuple):
+        return ",".join(map(spelled, value))
+    return str(value).lower() if value is None or isinstance(value, bool) else str(value)
 
 
 def load_toml(path: str | Path) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,7 +17,7 @@ from murmurate.learning import PPOConfig
 from murmurate.policies import PolicyConfig, PolicyKind
 from murmurate.world import StartConfig, WeightsConfig, WorldConfig
 
-__all__ = ["DEFAULT_LEARNER", "LEARNERS", "TUNED", "Learner", "paper_row", "preset", "resolve"]
+__all__ = ["DEFAULT_LEARNER", "LEARNERS", "TUNED", "Learner", "command", "paper_row", "preset", "resolve"]
 
 
 @dataclass(frozen=True)
@@ -165,6 +166,22 @@ def resolve(experiment: str, *overlays: Mapping[str, Any], learner: str | None =
         return fields.replaced(preset(experiment, chosen), data)
     data.setdefault("name", Path(experiment).stem)
     return fields.replaced(_experiment("unnamed", "C1", WorldConfig(), StartConfig(), chosen), data)
+
+
+def command(config: ExperimentConfig) -> str:
+    """Writes the command that discovers an experiment: a flag for each field that is not as in the paper's experiment.
+
+    An experiment that is none of the paper's is in a file of its name.
+    """
+    if config.name not in EXPERIMENTS:
+        return shlex.join(["murmurate", "discover", f"{config.name}.toml", "--seed", str(config.seed)])
+    kind = config.policy.kind
+    words = ["murmurate", "discover", config.name, "--seed", str(config.seed)]
+    words += ["--policy", kind] if kind != DEFAULT_LEARNER else []
+    for usual, leaf in zip(fields.leaves(preset(config.name, kind)), fields.leaves(config), strict=True):
+        if leaf.value != usual.value and leaf.path != "seed":
+            words += [f"--{leaf.path}", fields.spelled(leaf.value)]
+    return shlex.join(words)
 
 
 def paper_row(config: ExperimentConfig) -> PaperExperiment | None:

@@ -7,6 +7,7 @@ the result (`hop`).
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
@@ -124,16 +125,21 @@ def annealed(config: OptimumConfig) -> list[Formation]:
 
 
 def nested_rings(target: Target) -> Iterator[Float[np.ndarray, "robots 2"]]:
-    """Yields rings with none, one, two, three or four robots inside, wide enough to be valid patterns."""
+    """Yields rings with none, one, two, three or four robots inside, wide enough to be valid patterns.
+
+    Also rings with one place left empty: around one robot in the middle, an odd number of places leaves everyone in
+    sight where an even one does not.
+    """
     robots = target.world.robots
-    for inside in range(min(5, robots - 2)):
-        sizes = [(robots - inside, 2.0), (inside, 1.0)]
+    for inside, empty in itertools.product(range(min(5, robots - 2)), (0, 1)):
+        places = robots - inside + empty
+        sizes = [(places, 2.0), (inside, 1.0)]
         circles = [
             radius * (count > 1) * target.world.safe_distance * np.exp(2j * np.pi * (np.arange(count) + 0.5) / count)
             for count, radius in sizes
             if count
         ]
-        z = np.concatenate(circles)
+        z = np.concatenate(circles)[empty:]
         yield _apart(np.stack([z.real, z.imag], axis=1), target)
 
 

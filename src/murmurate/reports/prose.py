@@ -52,7 +52,7 @@ GAP = _paragraph("""
 
 PATTERNS = _paragraph("""
     The ways are coloured by the policy in charge: blue the base policy, green the auxiliary policy that follows it,
-    pink a third policy where two did not suffice. Shown is a typical episode: that of median steps among the valid
+    pink a third policy, where there is one. Shown is a typical episode: that of median steps among the valid
     ones, or among all where none is valid.
 """)
 
@@ -82,7 +82,7 @@ DIFFERENCES = (
     "is up to sqrt(2) slower than the kinematic bound supposes.",
     "The equivariant learner goes beyond the paper: credit robot by robot, exploration that fades, auxiliary policies "
     "that begin with the weights of the one before, half of the base policy's episodes from anywhere, and, but for a "
-    "quick report, a third policy where two do not suffice.",
+    "quick report, a third policy where two do not suffice (in A always).",
 )
 
 
