@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import equinox as eqx
@@ -21,6 +21,8 @@ from murmurate.world import (
     Anywhere,
     Layouts,
     Mixture,
+    Perceived,
+    SensingConfig,
     Start,
     StartConfig,
     WeightsConfig,
@@ -47,6 +49,7 @@ class Problem:
         discovery: How the list grows.
         rest: When a policy has come to rest.
         seed: Seed of everything random.
+        sensing: What robots perceive, where each acts on that alone (the policy local).
     """
 
     world: WorldConfig
@@ -58,6 +61,7 @@ class Problem:
     discovery: DiscoveryConfig
     rest: RestRule
     seed: int
+    sensing: SensingConfig = field(default_factory=SensingConfig, kw_only=True)
 
     def stage(self, index: int) -> StageConfig:
         """Returns how the policy of that place in the list is trained."""
@@ -110,6 +114,7 @@ class Discovery:
         self.world = _with_array_leaves(problem.evaluation_world())
         if problem.base.random_share:
             make_start(StartConfig(kind="random"), problem.world)
+        self._sensing = problem.sensing if problem.policy.kind == "local" else None
         self._key = jax.random.key(problem.seed)
         sizes = problem.world
         self._sizes = Sizes(
@@ -139,7 +144,7 @@ class Discovery:
 
     def cascade(self, policies: tuple[Any, ...]) -> Cascade:
         """Returns the list of policies as it is executed."""
-        return Cascade(policies, self.world, self.problem.rest)
+        return Cascade(policies, self._seen(self.world, self.world), self.problem.rest)
 
     def advance(self, snapshot: Snapshot) -> tuple[Snapshot, list[dict[str, Any]]]:
         """Runs one chunk of updates; after a policy's last one, also evaluates the list.
@@ -155,7 +160,7 @@ class Discovery:
         stage = self.problem.stage(index)
         train = snapshot.train or self._init(index, snapshot)
         updates = min(self.problem.discovery.chunk, stage.ppo.updates - int(train.update))
-        env = Repeated(self._training_world(index, snapshot), jnp.asarray(stage.repeat))
+        env = self._environment(index, snapshot)
         return Chunk(train, env, Hyperparameters.create(stage.ppo), Shape.create(stage.ppo), updates)
 
     def _after(
@@ -220,6 +225,14 @@ class Discovery:
         by_robot = self.problem.policy.credit == "robots"
         return _with_array_leaves(World.create(sizes, start, self.problem.objective, weights, stage.horizon, by_robot))
 
+    def _environment(self, index: int, snapshot: Snapshot) -> Any:
+        """What a policy is trained in: the world, each action kept up, and what robots perceive of it."""
+        world = self._training_world(index, snapshot)
+        return self._seen(Repeated(world, jnp.asarray(self.problem.stage(index).repeat)), world)
+
+    def _seen(self, env: Any, world: World) -> Any:
+        return env if self._sensing is None else Perceived(env, world, self._sensing)
+
     def _init(self, index: int, snapshot: Snapshot) -> TrainState:
         policy, value = self.networks(index)
         stage = self.problem.stage(index)
@@ -227,10 +240,11 @@ class Discovery:
             policy = snapshot.policies[-1]
         policy = eqx.tree_at(lambda p: p.log_std, policy, jnp.full_like(policy.log_std, stage.ppo.log_std))
         worlds, clock = jax.random.split(self._draw(index, "worlds"))
-        state = _reset(self._training_world(index, snapshot), worlds, stage.ppo.worlds)
+        state = _reset(self._environment(index, snapshot), worlds, stage.ppo.worlds)
         # Episodes that all began together would all end together, and every batch would hold one age only.
-        ages = jax.random.randint(clock, state.step.shape, 0, stage.horizon, state.step.dtype)
-        state = eqx.tree_at(lambda s: s.step, state, ages)
+        age = _age if self._sensing is None else lambda s: _age(s.world)
+        ages = jax.random.randint(clock, age(state).shape, 0, stage.horizon, age(state).dtype)
+        state = eqx.tree_at(age, state, ages)
         return init(policy, value, state, self._draw(index, "training"))
 
 
@@ -255,8 +269,12 @@ def advance_together(
 
 # Outside of a jit, the loop that redraws overlaps would be compiled anew at every call.
 @eqx.filter_jit
-def _reset(world: World, key: PRNGKeyArray, batch: int) -> Any:
-    return world.reset_batch(key, batch)
+def _reset(env: Any, key: PRNGKeyArray, batch: int) -> Any:
+    return env.reset_batch(key, batch)
+
+
+def _age(state: Any) -> Any:
+    return state.step
 
 
 def _repeat_to(configurations: np.ndarray, size: int) -> Float[Array, "size robots 2"]:

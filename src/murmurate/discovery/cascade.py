@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from murmurate.errors import GREATEST, MOST, check_number
-from murmurate.world import World
+from murmurate.world import Perceived, World
 
 __all__ = ["Cascade", "RestRule", "Trajectories"]
 
@@ -91,7 +91,7 @@ class Cascade(eqx.Module):
     """A list of policies, executed one after another in a world."""
 
     policies: tuple[Any, ...]
-    world: World
+    world: World | Perceived
     rest: RestRule = eqx.field(static=True)
 
     def rollout(self, starts: Float[np.ndarray, "episodes robots 2"]) -> Trajectories:
@@ -143,7 +143,7 @@ def _advance(cascade: Cascade, status: _Status) -> tuple[_Status, tuple[Array, d
 def _step(cascade: Cascade, status: _Status) -> tuple[_Status, tuple[Array, dict[str, Array]]]:
     rest, active = cascade.rest, status.active()
     observation = cascade.world.observe(status.state)
-    velocities = jnp.zeros_like(observation)
+    velocities = jnp.zeros_like(status.state.positions)
     for index, policy in enumerate(cascade.policies):
         velocities = jnp.where(active & (status.charge == index), policy(observation), velocities)
     after, transition = cascade.world.step(status.state, velocities)

@@ -11,6 +11,7 @@ from typing import Any, Literal
 from murmurate.discovery import Problem
 from murmurate.errors import InputError, RunError, check_choice
 from murmurate.experiments import fields, storage
+from murmurate.world import SensingConfig
 
 __all__ = ["STARTS", "ExperimentConfig", "check_same", "check_seed", "load", "read_toml", "save"]
 
@@ -39,6 +40,18 @@ class ExperimentConfig(Problem):
         check_seed(self.seed)
         if not re.fullmatch(r"\w[\w .+-]{0,63}", self.name):
             raise InputError("name", self.name, "up to 64 letters, digits, spaces and . + - _")
+        self._check_sensing()
+
+    def _check_sensing(self) -> None:
+        """Refuses eyes that the policy does not use, or that cannot serve the objective."""
+        usual = SensingConfig()
+        for name, value in vars(self.sensing).items():
+            if self.policy.kind != "local" and value != getattr(usual, name):
+                allowed = f"{getattr(usual, name)}: with the policy {self.policy.kind} robots act on all positions"
+                raise InputError(f"sensing.{name}", value, f"{allowed}; for eyes of their own choose the policy local")
+        if self.objective == "C1" and not self.sensing.landmark:
+            reason = "true with objective C1: in frames of their own, robots find a given point only by a landmark"
+            raise InputError("sensing.landmark", False, reason)
 
 
 def check_seed(seed: object) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, get_args
 
@@ -102,7 +102,9 @@ _PAPER = Learner(
     rest=RestRule(max_steps=800),
 )
 
-LEARNERS = {"equivariant": _EQUIVARIANT, "central": _CENTRAL, "paper": _PAPER}
+_LOCAL = replace(_EQUIVARIANT, policy=replace(_EQUIVARIANT.policy, kind="local"))
+
+LEARNERS = {"equivariant": _EQUIVARIANT, "central": _CENTRAL, "local": _LOCAL, "paper": _PAPER}
 """Learners by name: one for each kind of policy, and the paper's own numbers."""
 
 DEFAULT_LEARNER = "equivariant"

@@ -1,7 +1,7 @@
 """Networks and action distributions. Knows arrays only.
 
-Both policies map `(robots, 2, *batch)` positions to velocities of the same shape, or to a `Gaussian` around them, and
-both value networks to values `(actions, *batch)`: one a robot, or one for the swarm, as credit is given.
+Policies map `(robots, 2, *batch)` positions, or what robots perceive of them, to velocities of that shape, or to a
+`Gaussian` around them; value networks to values `(actions, *batch)`: one a robot, or one for the swarm.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from murmurate.policies.central import CentralPolicy, CentralValue
 from murmurate.policies.config import Credit, PolicyConfig, PolicyKind, Sizes
 from murmurate.policies.equivariant import EquivariantPolicy, EquivariantValue
 from murmurate.policies.gaussian import Gaussian
+from murmurate.policies.local import LocalPolicy, LocalValue
 
 __all__ = [
     "CentralPolicy",
@@ -21,18 +22,24 @@ __all__ = [
     "EquivariantPolicy",
     "EquivariantValue",
     "Gaussian",
+    "LocalPolicy",
+    "LocalValue",
     "PolicyConfig",
     "PolicyKind",
     "Sizes",
     "make_networks",
 ]
 
-_KINDS = {"central": (CentralPolicy, CentralValue), "equivariant": (EquivariantPolicy, EquivariantValue)}
+_KINDS = {
+    "central": (CentralPolicy, CentralValue),
+    "equivariant": (EquivariantPolicy, EquivariantValue),
+    "local": (LocalPolicy, LocalValue),
+}
 
 
 def make_networks(
     config: PolicyConfig, sizes: Sizes, key: PRNGKeyArray
-) -> tuple[CentralPolicy | EquivariantPolicy, CentralValue | EquivariantValue]:
+) -> tuple[CentralPolicy | EquivariantPolicy | LocalPolicy, CentralValue | EquivariantValue | LocalValue]:
     """Builds a policy and its value network, two separate networks as in the paper's Algorithm 1."""
     policy, value = _KINDS[config.kind]
     first, second = jax.random.split(key)

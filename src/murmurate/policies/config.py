@@ -9,7 +9,7 @@ from murmurate.errors import InputError
 
 __all__ = ["Credit", "PolicyConfig", "PolicyKind", "Sizes"]
 
-PolicyKind = Literal["central", "equivariant"]
+PolicyKind = Literal["central", "equivariant", "local"]
 Credit = Literal["robots", "swarm"]
 
 
@@ -18,9 +18,10 @@ class PolicyConfig:
     """Which policy, and how large.
 
     Attributes:
-        kind: central (the paper's: one network over all positions) or equivariant (shared by all robots).
-        hidden: Widths of the tanh layers (central), or of the node and edge layers (equivariant).
-        basis: Number of radial basis functions (equivariant).
+        kind: central (the paper's: one network over all positions), equivariant (shared by all robots, which see all)
+            or local (shared by all robots, each of which acts on what it alone perceives).
+        hidden: Widths of the tanh layers (central), or of the node and edge layers (others).
+        basis: Number of radial basis functions (not central).
         credit: Who answers for a step while learning: every robot for its own velocity, by its share of the objective,
             or the swarm as one (the paper's; central only).
     """
@@ -35,14 +36,14 @@ class PolicyConfig:
             raise InputError("kind", self.kind, f"one of {', '.join(get_args(PolicyKind))}")
         if not self.hidden or min(self.hidden) < 1:
             raise InputError("hidden", self.hidden, "one or more integers >= 1")
-        if self.kind == "equivariant" and len(self.hidden) > 2:
-            raise InputError("hidden", self.hidden, "at most two widths for equivariant: nodes, edges")
+        if self.kind != "central" and len(self.hidden) > 2:
+            raise InputError("hidden", self.hidden, f"at most two widths for {self.kind}: nodes, edges")
         if self.basis < 2:
             raise InputError("basis", self.basis, "an integer >= 2")
         if self.credit not in get_args(Credit):
             raise InputError("credit", self.credit, f"one of {', '.join(get_args(Credit))}")
-        if self.credit == "swarm" and self.kind == "equivariant":
-            raise InputError("credit", self.credit, "robots: an equivariant policy's robots act each for itself")
+        if self.credit == "swarm" and self.kind != "central":
+            raise InputError("credit", self.credit, f"robots: with the policy {self.kind} each acts for itself")
 
 
 @dataclass(frozen=True)

@@ -67,7 +67,7 @@ class EquivariantPolicy(eqx.Module):
         ahead, aside = (g * seen.ux - h * seen.uy, g * seen.uy + h * seen.ux)
         vx, vy = fold(lambda i: (ahead[:, i], aside[:, i]), positions.shape[0])
         if self.sizes.landmark:
-            px, py, _ = point(positions, self.basis, self.sizes.safe_distance)
+            px, py, _ = point(-positions[:, 0], -positions[:, 1], self.basis, self.sizes.safe_distance)
             g, h = self.to_point(nodes)
             vx, vy = vx + g * px - h * py, vy + g * py + h * px
         velocity = jnp.stack([vx, vy], axis=1)

@@ -9,12 +9,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from murmurate.policies.config import Sizes
 from murmurate.policies.layers import fold
 
-__all__ = ["SHADOWS", "Surroundings", "pair_channels", "robot_channels", "surroundings"]
+__all__ = ["SHADOWS", "Surroundings", "measured", "pair_channels", "robot_channels", "surroundings"]
 
 SHADOWS = 6
 """Channels of `_shadows`."""
@@ -77,10 +77,16 @@ def _shadows(ux: Array, uy: Array, distance: Array, radius: float) -> Float[Arra
 
 
 def point(
-    positions: Float[Array, "robots 2 *batch"], basis: int, scale: float
+    x: Float[Array, "robots *batch"], y: Float[Array, "robots *batch"], basis: int, scale: float
 ) -> tuple[Float[Array, "robots *batch"], Float[Array, "robots *batch"], Float[Array, "basis robots *batch"]]:
-    """Direction of the gathering point, fading within a quarter of a safe distance, and the basis of its distance."""
-    x, y = -positions[:, 0], -positions[:, 1]
+    """Direction of the gathering point, fading within a quarter of a safe distance, and the basis of its distance.
+
+    Args:
+        x: Coordinate of the point, from where each robot is.
+        y: The other one.
+        basis: Number of radial basis functions.
+        scale: The safe distance.
+    """
     distance = jnp.sqrt(x * x + y * y)
     soft = jnp.sqrt(distance**2 + (0.25 * scale) ** 2)
     return x / soft, y / soft, radial_basis(distance, basis, scale)
@@ -90,16 +96,38 @@ def surroundings(positions: Float[Array, "robots 2 *batch"], basis: int, sizes: 
     """Measures what every robot sees of every other, and of the gathering point where there is one."""
     dx = positions[None, :, 0] - positions[:, None, 0]
     dy = positions[None, :, 1] - positions[:, None, 1]
+    return measured(dx, dy, dx * dx + dy * dy > 0, -positions[:, 0], -positions[:, 1], basis, sizes)
+
+
+def measured(
+    dx: Float[Array, "robots robots *batch"],
+    dy: Float[Array, "robots robots *batch"],
+    apart: Bool[Array, "robots robots *batch"],
+    point_x: Float[Array, "robots *batch"],
+    point_y: Float[Array, "robots *batch"],
+    basis: int,
+    sizes: Sizes,
+) -> Surroundings:
+    """Measures what every robot sees, of those that it does see; the observer is the first axis.
+
+    Args:
+        dx: Coordinate of each robot, from where the observer is.
+        dy: The other one.
+        apart: Which robots it sees, and which are not where it is itself. What the others' coordinates are is ignored.
+        point_x: Coordinate of the gathering point, likewise.
+        point_y: The other one.
+        basis: Number of radial basis functions.
+        sizes: Units of length.
+    """
     square = dx * dx + dy * dy
-    apart = square > 0
     distance = jnp.sqrt(jnp.where(apart, square, 1.0))
     ux, uy = (jnp.where(apart, d / distance, 0.0) for d in (dx, dy))
-    radial = radial_basis(distance, basis, sizes.safe_distance) * apart.astype(positions.dtype)
+    radial = radial_basis(distance, basis, sizes.safe_distance) * apart.astype(dx.dtype)
 
     def seen(i: int) -> tuple[Array, Array, Array]:
         return radial[:, :, i], radial[:, :, i] * ux[:, i], radial[:, :, i] * uy[:, i]
 
-    crowd, sx, sy = (total / 4 for total in fold(seen, positions.shape[0]))
+    crowd, sx, sy = (total / 4 for total in fold(seen, dx.shape[0]))
     # Where i lies in the crowd around k, ring by ring, two basis functions to a ring.
     rings = basis // 2
     rx, ry = (s[: 2 * rings].reshape((rings, 2, *s.shape[1:])).sum(axis=1)[:, :, None] for s in (sx, sy))
@@ -107,6 +135,6 @@ def surroundings(positions: Float[Array, "robots 2 *batch"], basis: int, sizes: 
     pair = jnp.concatenate([radial, rx * ux + ry * uy, rx * uy - ry * ux, shadows])
     robot = [crowd, jnp.sqrt(sx * sx + sy * sy), shadows.sum(axis=2) / 4]
     if sizes.landmark:
-        px, py, near = point(positions, basis, sizes.safe_distance)
+        px, py, near = point(point_x, point_y, basis, sizes.safe_distance)
         robot += [near, sx * px + sy * py]
     return Surroundings(ux, uy, pair, jnp.concatenate(robot))

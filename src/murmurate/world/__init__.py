@@ -1,6 +1,8 @@
 """The Markov decision process: world, signals, objective and starts. Knows geometry and nothing of learning."""
 
 from murmurate.world.config import WorldConfig
+from murmurate.world.perception import Observation, Perceived, PerceivedState
+from murmurate.world.sensing import Frames, SensingConfig, SensingKind, View, draw_frames, perceive
 from murmurate.world.signals import OBJECTIVES, Objective, WeightsConfig, signal_names, signals
 from murmurate.world.starts import (
     Anywhere,
@@ -19,20 +21,29 @@ from murmurate.world.world import State, Transition, World
 __all__ = [
     "OBJECTIVES",
     "Anywhere",
+    "Frames",
     "Layouts",
     "Mixture",
     "Objective",
+    "Observation",
+    "Perceived",
+    "PerceivedState",
+    "SensingConfig",
+    "SensingKind",
     "Start",
     "StartConfig",
     "State",
     "Transition",
+    "View",
     "WeightsConfig",
     "World",
     "WorldConfig",
     "check_configurations",
+    "draw_frames",
     "draw_starts",
     "layout",
     "make_start",
+    "perceive",
     "read_starts",
     "signal_names",
     "signals",

@@ -1,0 +1,155 @@
+r"""One policy that every robot of every swarm runs on what it alone perceives: local, anonymous, oblivious, silent.
+
+Robot k moves along unit vectors u_ki towards those that it perceives, and their perpendiculars,
+
+    v_k = sum over i of w(d_ki) (g_ki u_ki + h_ki perp(u_ki)) + mean over i of (g'_ki u_ki + h'_ki perp(u_ki)),
+
+with coefficients that depend on the distances and angles in its own view alone. Who is near is summed up (w falls off
+within two safe distances, and only so many robots fit there), who is far averaged, and what is counted enters by its
+logarithm: nothing grows with the swarm. So the same weights act in swarms much larger than those they were trained in.
+
+Lengths are taken in radii as the robot perceives them, so that its unit of length drops out; turning its frame turns
+its velocity with it.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Protocol
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, PRNGKeyArray
+
+from murmurate.policies.config import PolicyConfig, Sizes
+from murmurate.policies.equivariant import EquivariantValue
+from murmurate.policies.features import Surroundings, measured, pair_channels, point, robot_channels
+from murmurate.policies.gaussian import Gaussian
+from murmurate.policies.layers import Dense, Linear, fold
+
+__all__ = ["LocalPolicy", "LocalValue", "Perception", "View"]
+
+
+class View(Protocol):
+    """What every robot perceives, in a frame and a unit of its own; the observer is the first axis."""
+
+    @property
+    def x(self) -> Float[Array, "robots robots *batch"]:
+        """First coordinate of each robot that is perceived."""
+        ...
+
+    @property
+    def y(self) -> Float[Array, "robots robots *batch"]:
+        """Second coordinate, likewise."""
+        ...
+
+    @property
+    def seen(self) -> Bool[Array, "robots robots *batch"]:
+        """Which robots are perceived."""
+        ...
+
+    @property
+    def radius(self) -> Float[Array, "robots *batch"]:
+        """The robots' radius in the observer's unit."""
+        ...
+
+    @property
+    def point_x(self) -> Float[Array, "robots *batch"]:
+        """First coordinate of the gathering point."""
+        ...
+
+    @property
+    def point_y(self) -> Float[Array, "robots *batch"]:
+        """Second coordinate of it."""
+        ...
+
+
+class Perception(Protocol):
+    """An observation that says what the robots perceive, and what there is."""
+
+    @property
+    def view(self) -> View:
+        """What the robots perceive."""
+        ...
+
+    @property
+    def positions(self) -> Float[Array, "robots 2 *batch"]:
+        """Where they are."""
+        ...
+
+
+class LocalPolicy(eqx.Module):
+    """Maps what each robot perceives to its velocity, in its own frame, world units per step."""
+
+    node: Dense
+    pair: Dense
+    mine: Linear
+    head: Dense
+    to_point: Dense
+    log_std: Float[Array, ""]
+    basis: int = eqx.field(static=True)
+    sizes: Sizes = eqx.field(static=True)
+
+    def __init__(self, config: PolicyConfig, sizes: Sizes, key: PRNGKeyArray) -> None:
+        keys = jax.random.split(key, 5)
+        nodes, edges = config.hidden[0], config.hidden[-1]
+        self.node = Dense(robot_channels(config.basis, sizes.landmark), nodes, keys[0], gain=5 / 3)
+        self.pair = Dense(pair_channels(config.basis), edges, keys[1])
+        self.mine = Linear(nodes, edges, keys[2])
+        self.head = Dense(edges, 4, keys[3], gain=0.05)
+        self.to_point = Dense(nodes, 2, keys[4], gain=0.05)
+        self.log_std = jnp.zeros(())
+        self.basis = config.basis
+        self.sizes = sizes
+
+    def __call__(self, observation: Perception) -> Float[Array, "robots 2 *batch"]:
+        """Returns the most likely velocities; nothing but the view is looked at."""
+        view, sizes = observation.view, self.sizes
+        # In world units, by the size at which robots are perceived.
+        scale = sizes.radius / view.radius
+        x, y = view.x * scale[:, None], view.y * scale[:, None]
+        px, py = view.point_x * scale, view.point_y * scale
+        seen = view.seen & (x * x + y * y > 0)
+        around = measured(x, y, seen, px, py, self.basis, sizes)
+        nodes = jnp.tanh(self.node(_compressed(around.robot)))
+        edges = jnp.tanh(self.pair(_compressed(around.pair)) + self.mine(nodes)[:, :, None])
+        vx, vy = self._sum(around, self.head(edges), x, y, seen)
+        if sizes.landmark:
+            ux, uy, _ = point(px, py, self.basis, sizes.safe_distance)
+            g, h = self.to_point(nodes)
+            vx, vy = vx + g * ux - h * uy, vy + g * uy + h * ux
+        velocity = jnp.stack([vx, vy], axis=1)
+        norm = jnp.sqrt(jnp.sum(velocity**2, axis=1, keepdims=True) + 1e-12)
+        return sizes.max_speed * velocity * (jnp.tanh(norm) / norm)
+
+    def _sum(self, around: Surroundings, head: Any, x: Array, y: Array, seen: Array) -> tuple[Array, Array]:
+        g, h, far_g, far_h = head
+        near = jnp.exp(-(x * x + y * y) / (2 * self.sizes.safe_distance) ** 2)
+        share = 1 / jnp.maximum(jnp.sum(seen, axis=1), 1)[:, None].astype(x.dtype)
+        g, h = near * g + share * far_g, near * h + share * far_h
+        ahead, aside = (g * around.ux - h * around.uy, g * around.uy + h * around.ux)
+        vx, vy = fold(lambda i: (ahead[:, i], aside[:, i]), x.shape[0])
+        return vx, vy
+
+    def distribution(self, observation: Perception) -> Gaussian:
+        """Returns normal velocities around the most likely ones: each robot draws its own."""
+        return Gaussian(self(observation), self.log_std + math.log(self.sizes.max_speed), joint=False)
+
+
+class LocalValue(eqx.Module):
+    """Maps positions to what is still to be gained: training may know everything, acting never does."""
+
+    whole: EquivariantValue
+
+    def __init__(self, config: PolicyConfig, sizes: Sizes, key: PRNGKeyArray) -> None:
+        self.whole = EquivariantValue(config, sizes, key)
+
+    def __call__(self, observation: Perception) -> Float[Array, "robots *batch"]:
+        """Returns every robot's value of every configuration."""
+        return self.whole(observation.positions)
+
+
+def _compressed(features: Float[Array, "features *batch"]) -> Float[Array, "features *batch"]:
+    """Compresses what is counted: odd, all but linear up to 1, logarithmic beyond."""
+    return jnp.arcsinh(features)

@@ -1,0 +1,119 @@
+"""A world whose robots act on what they perceive: each in its own frame, from its own view."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PRNGKeyArray, UInt32
+
+from murmurate.world.sensing import Frames, SensingConfig, View, draw_frames, perceive
+from murmurate.world.starts import Start
+from murmurate.world.world import World
+
+__all__ = ["Observation", "Perceived", "PerceivedState"]
+
+
+class PerceivedState(eqx.Module):
+    """Where the robots are, and how each of them looks at it.
+
+    Attributes:
+        world: The state of the world, or of what wraps it.
+        frames: Every robot's system of coordinates.
+        key: Randomness of what is perceived next.
+    """
+
+    world: Any
+    frames: Frames
+    key: UInt32[Array, "two *batch"]
+
+    @property
+    def positions(self) -> Float[Array, "robots 2 *batch"]:
+        """Centres, world units."""
+        return self.world.positions
+
+    @property
+    def objective(self) -> Float[Array, "*batch"]:
+        """The objective C of this configuration."""
+        return self.world.objective
+
+
+class Observation(eqx.Module):
+    """What there is to know of a state, and what the robots perceive of it.
+
+    Attributes:
+        view: What every robot perceives: all that an acting policy may be given.
+        positions: Centres, world units: for the value network, which serves training only.
+    """
+
+    view: View
+    positions: Float[Array, "robots 2 *batch"]
+
+
+class Perceived(eqx.Module):
+    """A world, seen by its robots. An action is each robot's velocity in its own frame, world units per step.
+
+    Robots know their own size, so that a velocity needs no unit of length: only its direction is the robot's own.
+
+    Attributes:
+        env: The world, or something that steps one, such as `learning.Repeated`.
+        world: The world: its sizes, and how a configuration is measured.
+        sensing: What is perceived, in which frames.
+    """
+
+    env: Any
+    world: World
+    sensing: SensingConfig = eqx.field(static=True)
+
+    def reset_batch(self, key: PRNGKeyArray, batch: int) -> PerceivedState:
+        """Begins a batch of episodes, each at a fresh start and with fresh frames."""
+        begin, look = jax.random.split(key)
+        return self._looking(self.env.reset_batch(begin, batch), jax.random.split(look, batch))
+
+    def state(self, positions: Float[Array, "robots 2 *batch"], seed: int = 0) -> PerceivedState:
+        """Returns the state at the beginning of an episode from the given configurations."""
+        key = jax.random.key(seed)
+        keys = jax.random.split(key, positions.shape[2:]) if positions.ndim > 2 else key
+        return self._looking(self.world.state(positions), keys)
+
+    @property
+    def start(self) -> Start:
+        """Where episodes begin."""
+        return self.world.start
+
+    def signals(self, positions: Float[Array, "robots 2 *batch"]) -> dict[str, Float[Array, "*batch"]]:
+        """Returns the signals of configurations by name."""
+        return self.world.signals(positions)
+
+    def observe(self, state: PerceivedState) -> Observation:
+        """Looks around from every robot."""
+        world, keys = self.world, _wrapped(state.key)
+        view = perceive(self.sensing, state.positions, state.frames, keys, world.radius, world.scan_radius)
+        return Observation(view, state.positions)
+
+    def step(self, state: PerceivedState, action: Float[Array, "robots 2 *batch"]) -> tuple[PerceivedState, Any]:
+        """Moves every robot by its own velocity; see `World.step`."""
+        after, transition = self.env.step(state.world, state.frames.outward(action))
+        keys = _next(_wrapped(state.key))
+        if self.sensing.redrawn:
+            return self._looking(after, keys), transition
+        return PerceivedState(after, state.frames, _data(keys)), transition
+
+    def _looking(self, state: Any, keys: PRNGKeyArray) -> PerceivedState:
+        frames = draw_frames(self.sensing, keys, state.positions.shape[0], state.positions.dtype)
+        return PerceivedState(state, frames, _data(_next(keys)))
+
+
+def _next(keys: PRNGKeyArray) -> PRNGKeyArray:
+    """Returns other keys, so that what is drawn next has nothing to do with what was drawn before."""
+    return jax.random.fold_in(keys, 1) if keys.ndim == 0 else jax.vmap(jax.random.fold_in, (0, None))(keys, 1)
+
+
+def _data(keys: PRNGKeyArray) -> UInt32[Array, "two *batch"]:
+    return jnp.moveaxis(jax.random.key_data(keys), -1, 0)
+
+
+def _wrapped(data: UInt32[Array, "two *batch"]) -> PRNGKeyArray:
+    return jax.random.wrap_key_data(jnp.moveaxis(data, 0, -1))

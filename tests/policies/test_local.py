@@ -1,0 +1,127 @@
+"""A policy with its own eyes: nothing but what a robot perceives moves it, in whatever frame it perceives it."""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from murmurate.policies import PolicyConfig, Sizes, make_networks
+from murmurate.world import Observation, SensingConfig, draw_frames, perceive
+
+R, SCAN = 1.0, 40.0
+
+
+def networks(landmark=True, seed=0):
+    sizes = Sizes(6, 45.0, 45.0, R, 5.0, 1.0, landmark)
+    policy, value = make_networks(PolicyConfig(kind="local", hidden=(16, 8)), sizes, jax.random.key(seed))
+    # Fresh heads are all but silent: here they speak up.
+    heads = (policy.head.weight, policy.to_point.weight)
+    louder = eqx.tree_at(lambda p: (p.head.weight, p.to_point.weight), policy, tuple(20 * weight for weight in heads))
+    return louder, value
+
+
+def configuration(seed=0, robots=6):
+    angle = 2 * np.pi * np.arange(robots) / robots
+    ring = 2.0 * robots * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    return jnp.asarray(ring + np.random.default_rng(seed).uniform(-2, 2, ring.shape), jnp.float32)
+
+
+def observed(positions, seed=0, **sensing):
+    config = SensingConfig(**sensing)
+    key = jax.random.key(seed)
+    frames = draw_frames(config, key, len(positions))
+    return frames, Observation(perceive(config, positions, frames, key, R, SCAN), positions)
+
+
+def velocities(policy, positions, seed=0, **sensing):
+    """Returns what the robots do, in the world's frame."""
+    frames, observation = observed(positions, seed, **sensing)
+    return np.asarray(frames.outward(policy(observation)))
+
+
+@pytest.mark.parametrize("kind", ["global", "scan", "visible"])
+def test_no_frame_changes_where_a_robot_goes(kind):
+    policy, _ = networks()
+    plain = velocities(policy, configuration(), kind=kind)
+    assert np.abs(plain).max() > 0.1
+    for seed in range(4):
+        turned = velocities(policy, configuration(), seed, kind=kind, rotation=True, unit=5.0)
+        np.testing.assert_allclose(turned, plain, atol=2e-5)
+
+
+def test_turning_the_swarm_turns_its_velocities():
+    policy, _ = networks()
+    turn = jnp.asarray([[np.cos(1.0), -np.sin(1.0)], [np.sin(1.0), np.cos(1.0)]], jnp.float32)
+    plain = velocities(policy, configuration(), kind="visible", rotation=True)
+    turned = velocities(policy, configuration() @ turn.T, 3, kind="visible", rotation=True)
+    np.testing.assert_allclose(turned, plain @ np.asarray(turn).T, atol=2e-5)
+
+
+def test_moving_the_swarm_changes_nothing_without_a_landmark():
+    policy, _ = networks(landmark=False)
+    plain = velocities(policy, configuration(), kind="visible")
+    np.testing.assert_allclose(velocities(policy, configuration() + 7.0, kind="visible"), plain, atol=2e-5)
+    aware, _ = networks(landmark=True)
+    here, there = (velocities(aware, configuration() + shift) for shift in (0.0, 7.0))
+    assert np.abs(here - there).max() > 0.01
+
+
+def test_robots_have_no_number():
+    policy, _ = networks()
+    order = np.random.default_rng(1).permutation(6)
+    plain = velocities(policy, configuration(), kind="visible")
+    np.testing.assert_allclose(velocities(policy, configuration()[order], kind="visible"), plain[order], atol=2e-5)
+
+
+def test_what_is_hidden_does_not_move_a_robot():
+    """Robot 2 stands behind robot 1: wherever it is there, 0 does the same, unless it sees through 1."""
+    policy, _ = networks()
+    here = configuration().at[:3].set(jnp.asarray([[0.0, -20.0], [0.0, -15.0], [0.0, -8.0]]))
+    there = here.at[2].set(jnp.asarray([0.3, -6.5]))
+    _, observation = observed(here, kind="visible")
+    assert not bool(observation.view.seen[0, 2])
+    first, second = (velocities(policy, p, kind="visible")[0] for p in (here, there))
+    np.testing.assert_array_equal(first, second)
+    first, second = (velocities(policy, p, kind="scan")[0] for p in (here, there))
+    assert np.abs(first - second).max() > 1e-4
+
+
+def test_positions_never_reach_the_acting_policy():
+    policy, value = networks()
+    _, observation = observed(configuration(), kind="visible")
+    blind = eqx.tree_at(lambda o: o.positions, observation, observation.positions * jnp.nan)
+    np.testing.assert_array_equal(policy(blind), policy(observation))
+    assert not np.isfinite(np.asarray(value(blind))).any()
+
+
+@pytest.mark.parametrize("robots", [2, 3, 16, 40])
+def test_the_same_weights_act_in_every_swarm(robots):
+    policy, value = networks()
+    _, observation = observed(configuration(robots=robots), kind="visible")
+    assert policy(observation).shape == (robots, 2)
+    assert value(observation).shape == (robots,)
+    speeds = np.linalg.norm(policy(observation), axis=1)
+    assert np.isfinite(speeds).all()
+    assert (speeds <= 1.0).all()
+
+
+def test_a_robot_alone_and_coincident_robots_are_defined():
+    policy, _ = networks()
+    for positions in (jnp.asarray([[0.0, 0.0], [100.0, 0.0]]), jnp.zeros((3, 2))):
+        gradient = eqx.filter_grad(lambda p, x: jnp.sum(p(observed(x, kind="scan")[1])))(policy, positions)
+        assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(gradient))
+
+
+def test_velocities_do_not_grow_with_the_swarm():
+    """Ten times as many robots far away, on the same circle, pull hardly harder."""
+    policy, _ = networks(landmark=False)
+    mean = []
+    for count in (12, 120):
+        angle = np.pi * (np.arange(count) + 0.5) / count
+        far = 35.0 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        positions = jnp.asarray(np.vstack([[[0.0, 0.0]], far]), jnp.float32)
+        mean.append(np.arctanh(np.linalg.norm(velocities(policy, positions, kind="global")[0])))
+    assert mean[1] < 3 * mean[0]
