@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import json
 import time
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -76,7 +77,7 @@ def main() -> None:
         write(found)
         draw(found)
         return
-    # From large to small: without its outermost robot, a good pattern is a good start for one robot less.
+    # From large to small: without one of its robots, a good pattern is a good start for one robot less.
     for robots in reversed(range(options.robots[0], options.robots[1] + 1)):
         for experiment in options.families:
             for seed in options.seeds:
@@ -100,8 +101,8 @@ def work(found: dict[str, BestKnown], experiment: str, robots: int, seed: int, o
     key = key_of(best)
     better = improve(found, key, best)
     parent = found.get(f"{key[:-2]}{robots + 1:02}")
-    if parent is not None:
-        better |= improve(found, key, heir(parent, sought))
+    for entry in () if parent is None else heirs(parent, sought):
+        better |= improve(found, key, entry)
     checked = hop(config) if options.hops else None
     if checked and checked.valid:
         entry = BestKnown.of(sought, checked.positions, f"{command} --hops {options.hops}")
@@ -114,12 +115,11 @@ def work(found: dict[str, BestKnown], experiment: str, robots: int, seed: int, o
     print(f"{experiment} {robots:2} {values} {hopped} {'BETTER' if better else ''} {took:.0f} s", flush=True)
 
 
-def heir(parent: BestKnown, sought: Target) -> BestKnown:
-    """Makes an entry of a pattern of one robot more, by leaving its outermost robot out and polishing."""
-    middle = np.zeros(2) if sought.objective == "C1" else parent.positions.mean(axis=0)
-    outermost = np.linalg.norm(parent.positions - middle, axis=1).argmax()
-    positions = polish(np.delete(parent.positions, outermost, axis=0), sought)
-    return BestKnown.of(sought, positions, "python -m benchmarks.optima")
+def heirs(parent: BestKnown, sought: Target) -> Iterator[BestKnown]:
+    """Yields entries made of a pattern of one robot more, by leaving one of its robots out and polishing."""
+    for robot in range(parent.robots):
+        positions = polish(np.delete(parent.positions, robot, axis=0), sought)
+        yield BestKnown.of(sought, positions, "python -m benchmarks.optima")
 
 
 def write(found: dict[str, BestKnown]) -> None:
