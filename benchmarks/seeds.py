@@ -73,7 +73,12 @@ def study(experiment: str, seeds: int, runs: Path) -> Study:
     unseen = unmatched(ours, ends)
     tight = [finding for pattern in unseen if (finding := _polished(experiment, pattern)) is not None]
     tightened = unmatched(Catalogue.of(tight), ends) if tight else ()
-    missed = unmatched(theirs, [finding.positions for finding in found])
+    # By the same measure: the annealed classes of which no member is one of the runs' representatives.
+    missed = tuple(
+        pattern
+        for pattern in theirs.classes
+        if len(unmatched(ours, [member.positions for member in pattern.members])) == len(ours.classes)
+    )
     return Study(experiment, ours, theirs, unseen, tightened, missed)
 
 
@@ -170,7 +175,7 @@ square radii.
 *Annealed* are the distinct valid patterns among the {ends} ends of simulated annealing, good and bad ones, polished
 under the exact constraints (`murmurate optimum` without its hand-made rings; many chains end in no valid pattern).
 *Never annealed* are the classes of the runs whose representative matches none of these ends, *never discovered* the
-annealed ones whose representative matches no pattern of the runs. A pattern of a run need not be a local optimum: it is
+annealed classes of which no member matches such a representative. A pattern of a run need not be a local optimum: it is
 where a policy comes to rest. So the representatives that annealing never found are polished as well; *polished too*
 counts those that are still unlike everything annealed.
 
