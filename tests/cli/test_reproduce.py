@@ -6,8 +6,7 @@ import pytest
 
 from murmurate import view
 from murmurate.cli.main import main
-from murmurate.discovery import Discovery
-from murmurate.experiments import storage
+from murmurate.experiments import storage, training
 from murmurate.experiments.paper import EXPERIMENTS
 from murmurate.reports import plan as planning
 from murmurate.reports.plan import Plan, PlannedRun
@@ -84,20 +83,20 @@ def test_a_quick_report_has_a_folder_of_its_own(finished):
 
 
 def test_an_interrupted_command_goes_on(work, trained, capsys, monkeypatch):
-    advance, left = Discovery.advance, [3]
+    advance, left = training.advance_together, [3]
 
-    def interrupted(self, snapshot):
+    def interrupted(*args):
         if not left[0]:
             raise KeyboardInterrupt
         left[0] -= 1
-        return advance(self, snapshot)
+        return advance(*args)
 
-    monkeypatch.setattr(Discovery, "advance", interrupted)
+    monkeypatch.setattr(training, "advance_together", interrupted)
     assert main(["reproduce"]) == 130
     out, err = capsys.readouterr()
     assert out == "2 runs in runs: 0 finished, 0 to go on with, 2 to train\n"
     assert err == "murmurate: interrupted; the same command goes on: murmurate reproduce\n"
-    monkeypatch.setattr(Discovery, "advance", advance)
+    monkeypatch.setattr(training, "advance_together", advance)
     assert main(["reproduce"]) == 0
     assert "2 runs in runs: 0 finished, 1 to go on with, 1 to train\n" in capsys.readouterr().out
     for name in NAMES:
@@ -118,7 +117,7 @@ def test_an_interrupted_command_goes_on(work, trained, capsys, monkeypatch):
     ],
 )
 def test_refused_before_anything_is_trained(work, capsys, monkeypatch, words, line):
-    monkeypatch.setattr(Discovery, "advance", None)
+    monkeypatch.setattr(training, "advance_together", None)
     for path in ("mine", "bad/tiny-equivariant-seed1"):
         (work / path).mkdir(parents=True)
         (work / path / "notes.txt").write_text("mine")

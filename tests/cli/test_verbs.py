@@ -69,12 +69,12 @@ def test_policies_that_went_astray_are_no_valid_pattern(tiny_toml, tmp_path, cap
 
 
 def test_interrupting_says_how_to_go_on(tiny_toml, tmp_path, capsys, monkeypatch):
-    from murmurate.discovery import Discovery
+    from murmurate.experiments import training
 
-    def interrupted(self, snapshot):
+    def interrupted(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(Discovery, "advance", interrupted)
+    monkeypatch.setattr(training, "advance_together", interrupted)
     assert main(["discover", str(tiny_toml), "--out", str(tmp_path / "run")]) == 130
     err = capsys.readouterr().err
     assert err == f"murmurate: interrupted; add --resume to the same command to go on with {tmp_path / 'run'}\n"

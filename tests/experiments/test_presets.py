@@ -45,7 +45,7 @@ def test_presets_are_the_papers_experiments(name, learner):
         row.robots,
     )
     assert config.start.noise == 2
-    assert config.policy.kind == ("equivariant" if learner == "equivariant" else "central")
+    assert config.policy.kind == ("central" if learner == "paper" else learner)
     assert all(type(value) is float for value in (world.half_width, world.radius, world.scan_radius, world.max_speed))
     if row.objective == "C2":
         assert world.scan_radius >= 2 * math.hypot(world.half_width, world.half_height)
@@ -133,7 +133,7 @@ def test_a_toml_file_says_what_differs(tmp_path):
         ({"policy": {"kind": "paper"}}, None, "policy.kind = 'paper': must be one of"),
         ({"policy": {"kind": []}}, None, "policy.kind = []: must be one of"),
         ({"policy": "central"}, None, "policy = 'central': must be a table"),
-        ({}, "best", "learner = 'best': must be one of equivariant, central, paper"),
+        ({}, "best", "learner = 'best': must be one of equivariant, central, local, paper"),
         ({"base": {"weights": {"visible": -1.0}}}, None, "base.weights.visible = -1.0: must be"),
     ],
 )

@@ -7,10 +7,9 @@ import shutil
 
 import pytest
 
-from murmurate.discovery import Discovery
 from murmurate.errors import RunError
 from murmurate.experiments import config as configuration
-from murmurate.experiments import storage
+from murmurate.experiments import storage, training
 from murmurate.reports import runs as work
 from tiny import tiny
 
@@ -35,18 +34,18 @@ def test_finished_runs_are_reused_as_they_are(plan, mine, monkeypatch):
 
 
 def test_an_interrupted_run_goes_on_to_the_same_weights(plan, runs, tmp_path, monkeypatch):
-    planned, advance, left = plan.runs[0], Discovery.advance, [2]
+    planned, advance, left = plan.runs[0], training.advance_together, [2]
 
-    def interrupted(self, snapshot):
+    def interrupted(*args):
         if not left[0]:
             raise KeyboardInterrupt
         left[0] -= 1
-        return advance(self, snapshot)
+        return advance(*args)
 
-    monkeypatch.setattr(Discovery, "advance", interrupted)
+    monkeypatch.setattr(training, "advance_together", interrupted)
     with pytest.raises(KeyboardInterrupt):
         work.train(planned, tmp_path)
-    monkeypatch.setattr(Discovery, "advance", advance)
+    monkeypatch.setattr(training, "advance_together", advance)
     assert work.check(plan, tmp_path) == {plan.runs[0].name: "unfinished", plan.runs[1].name: "new"}
     result = work.train(planned, tmp_path)
     whole = storage.read_manifest(runs / planned.name)

@@ -65,7 +65,7 @@ def discover_many(
         name: What their folders are called, but for that.
         resume: Go on with the runs that are there already.
         together: How many train side by side in one program; by default all on an accelerator, and one on a CPU,
-            which gains nothing by it.
+            which loses by it.
 
     Returns:
         0, or 3 when no valid pattern was discovered.

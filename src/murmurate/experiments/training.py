@@ -59,7 +59,7 @@ def discover_together(
 ) -> list[Run]:
     """Runs many discoveries side by side, those of the same shapes in one compiled program, each to its own folder.
 
-    On an accelerator this takes little longer than one of them; on a CPU as long as one after the other.
+    Meant for an accelerator, which one discovery does not keep busy; on a CPU it takes longer than one after the other.
 
     Args:
         configs: What to discover, and how, by the run folder.
