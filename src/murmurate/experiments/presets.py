@@ -123,8 +123,9 @@ TUNED: dict[str, dict[str, Any]] = {
 }
 """What the equivariant learner has of its own for some experiments.
 
-Where auxiliary policies weigh gathering more, patterns end nearer to the best known: within 0.8, 0.5 and 0.4 percent of
-it instead of 1.2, 0.9 and 1.9 (B, E, F). A and C lose patterns by so much: 139 and 192 of 200 are valid then.
+Where auxiliary policies weigh gathering more, patterns end nearer to the best known: within 0.7, 0.4 and 0.5 percent of
+it, means of three seeds, instead of 1.2, 0.9 and 1.9 (B, E, F). A and C lose patterns by so much: 139 and 192 of 200
+are valid then.
 
 In A and D six slow robots begin near the place where they gather, and the way is hardly longer than settling: a looser
 rule of rest saves steps (D took 3.9 times its kinematic bound without, and no more patterns were valid), in A an early

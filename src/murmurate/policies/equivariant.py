@@ -27,7 +27,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from murmurate.policies.config import PolicyConfig, Sizes
 from murmurate.policies.features import pair_channels, point, robot_channels, surroundings
 from murmurate.policies.gaussian import Gaussian
-from murmurate.policies.layers import Dense, Linear, fold
+from murmurate.policies.layers import Dense, Linear, bounded, fold
 
 __all__ = ["EquivariantPolicy", "EquivariantValue"]
 
@@ -70,9 +70,7 @@ class EquivariantPolicy(eqx.Module):
             px, py, _ = point(-positions[:, 0], -positions[:, 1], self.basis, self.sizes.safe_distance)
             g, h = self.to_point(nodes)
             vx, vy = vx + g * px - h * py, vy + g * py + h * px
-        velocity = jnp.stack([vx, vy], axis=1)
-        norm = jnp.sqrt(jnp.sum(velocity**2, axis=1, keepdims=True) + 1e-12)
-        return self.sizes.max_speed * velocity * (jnp.tanh(norm) / norm)
+        return bounded(vx, vy, self.sizes.max_speed)
 
     def distribution(self, positions: Float[Array, "robots 2 *batch"]) -> Gaussian:
         """Returns normal velocities around the most likely ones: each robot draws its own."""

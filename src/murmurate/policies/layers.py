@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
-__all__ = ["Dense", "Linear", "Tanh", "fold"]
+__all__ = ["Dense", "Linear", "Tanh", "bounded", "fold"]
 
 
 def fold(term: Callable[[int], tuple[Array, ...]], count: int) -> tuple[Array, ...]:
@@ -23,6 +23,15 @@ def fold(term: Callable[[int], tuple[Array, ...]], count: int) -> tuple[Array, .
     for index in range(1, count):
         total = tuple(a + b for a, b in zip(total, term(index), strict=True))
     return total
+
+
+def bounded(
+    vx: Float[Array, "robots *batch"], vy: Float[Array, "robots *batch"], limit: float
+) -> Float[Array, "robots 2 *batch"]:
+    """Puts velocities together, smoothly shortened so that the NORM of none is above the limit."""
+    velocity = jnp.stack([vx, vy], axis=1)
+    norm = jnp.sqrt(jnp.sum(velocity**2, axis=1, keepdims=True) + 1e-12)
+    return limit * velocity * (jnp.tanh(norm) / norm)
 
 
 class Linear(eqx.Module):

@@ -26,7 +26,7 @@ from murmurate.policies.config import PolicyConfig, Sizes
 from murmurate.policies.equivariant import EquivariantValue
 from murmurate.policies.features import Surroundings, measured, pair_channels, point, robot_channels
 from murmurate.policies.gaussian import Gaussian
-from murmurate.policies.layers import Dense, Linear, fold
+from murmurate.policies.layers import Dense, Linear, bounded, fold
 
 __all__ = ["LocalPolicy", "LocalValue", "Perception", "View"]
 
@@ -119,9 +119,7 @@ class LocalPolicy(eqx.Module):
             ux, uy, _ = point(px, py, self.basis, sizes.safe_distance)
             g, h = self.to_point(nodes)
             vx, vy = vx + g * ux - h * uy, vy + g * uy + h * ux
-        velocity = jnp.stack([vx, vy], axis=1)
-        norm = jnp.sqrt(jnp.sum(velocity**2, axis=1, keepdims=True) + 1e-12)
-        return sizes.max_speed * velocity * (jnp.tanh(norm) / norm)
+        return bounded(vx, vy, sizes.max_speed)
 
     def _sum(self, around: Surroundings, head: Any, x: Array, y: Array, seen: Array) -> tuple[Array, Array]:
         g, h, far_g, far_h = head
