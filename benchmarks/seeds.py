@@ -170,7 +170,7 @@ What {seeds} seeds of each experiment discover, and which of it a search that ne
 Each row is {seeds} trainings with the default settings but {worlds} parallel episodes instead of 256, so half of the
 default budget, each evaluated on {episodes} fresh starts. Their valid final patterns are sorted into classes as
 `murmurate catalogue` does: the same up to moving, turning, relabelling, mirroring and scaling, within 0.125 root mean
-square radii.
+square radii. Each training was pinned to one core, for the number of threads changes a policy a little.
 
 *Annealed* are the distinct valid patterns among the {ends} ends of simulated annealing, good and bad ones, polished
 under the exact constraints (`murmurate optimum` without its hand-made rings; many chains end in no valid pattern).
