@@ -8,7 +8,7 @@ import pytest
 from murmurate.geometry import distances, neighbors_and_visible
 from murmurate.patterns.bounds import ring
 from murmurate.patterns.formation import Target
-from murmurate.patterns.polish import _Problem, polish
+from murmurate.patterns.polish import _mended, _Problem, polish
 from murmurate.world import WeightsConfig, WorldConfig
 from oracles.configurations import disjoint
 
@@ -31,6 +31,21 @@ def test_it_gives_nothing_up(objective, seed):
     was_safe = distances(before) >= 5
     assert (distances(after)[was_safe] >= 5).all()
     assert (np.abs(after) <= 40).all()
+
+
+@pytest.mark.parametrize("size", [1e-8, 1e-5, 1e-3])
+@pytest.mark.parametrize("objective", ["C1", "C2"])
+def test_a_small_step_outside_the_constraints_is_taken_back(objective, size):
+    before = scattered(4)
+    problem = _Problem.of(before, Target(WORLD, objective))
+    best = polish(before, Target(WORLD, objective)) / WORLD.safe_distance
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        outside = best + size * rng.normal(size=best.shape)
+        assert problem.constraints(outside).slack(outside)[0].min() < -size / 10
+        inside = _mended(outside, problem)
+        assert problem.constraints(inside).slack(inside)[0].min() > -1e-10
+        assert np.abs(inside - outside).max() < 10 * size
 
 
 @pytest.mark.parametrize("objective", ["C1", "C2"])

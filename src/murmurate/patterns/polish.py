@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.optimize import minimize
+from scipy.optimize import minimize, nnls
 
 from murmurate.geometry import distances, neighbors_and_visible
 from murmurate.patterns.formation import Target
@@ -41,6 +41,9 @@ TRUST, LEAST_TRUST, ROUNDS = 0.1, 1e-11, 200
 ROUNDED = (1e-2, 1e-4, 1e-6, 1e-9)
 """The distance to the origin has no gradient there, where a robot often ends: rounded off within these, in turn."""
 
+MENDING = 20
+"""Steps back inside the constraints; two or three are enough unless they contradict each other."""
+
 GAIN = 1e-14
 """The search ends when a round gains less; while the objective is still rounded off, it need not be as exact."""
 
@@ -60,7 +63,9 @@ def polish(positions: Points, target: Target) -> Points:
     problem = _Problem.of(points, target)
     for rounded in ROUNDED if target.gathering == "close" else ROUNDED[-1:]:
         points = _climb(points / unit, problem, rounded) * unit
-    return points if target.value(points) >= target.value(positions) else np.asarray(positions, float)
+    points = _mended(points / unit, problem) * unit
+    kept = problem.constraints(points / unit).slack(points / unit, slopes=False)[0].min(initial=0) > -MARGIN
+    return points if kept and target.value(points) >= target.value(positions) else np.asarray(positions, float)
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,6 +231,26 @@ def _climb(points: Points, problem: _Problem, rounded: float) -> Points:
         stationary = found.status == 0 and found.nit <= 1
         if stationary or trust < least or 0 < gained < max(GAIN, (rounded - ROUNDED[-1]) * 1e-3):
             break
+    return points
+
+
+def _mended(points: Points, problem: _Problem) -> Points:
+    """Steps back inside the constraints, as near as can be: where many meet, a climb can end outside by a little.
+
+    Each step is the shortest that meets all constraints to first order: a least-distance problem, solved as one of
+    nonnegative least squares (Lawson and Hanson, Solving Least Squares Problems, chapter 23).
+    """
+    for _ in range(MENDING):
+        slack, slopes = problem.constraints(points, within=TRUST).slack(points)
+        if slack.min(initial=0) > -MARGIN / 2:
+            break
+        system = np.concatenate([slopes.T, -slack[None]])
+        wanted = np.zeros(len(system))
+        wanted[-1] = 1
+        left = system @ nnls(system, wanted)[0] - wanted
+        if left[-1] == 0:
+            break
+        points = points - (left[:-1] / left[-1]).reshape(points.shape)
     return points
 
 
