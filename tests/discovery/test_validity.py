@@ -32,7 +32,7 @@ def verdict(*configurations, at_rest=True):
     positions = np.stack(configurations).astype(np.float32)[None]
     steps = np.array([len(configurations) - 1])
     none = np.zeros((1, 0), int)
-    return judge(Trajectories(positions, steps, none, np.array([at_rest]), np.array([False]), {}), WORLD)
+    return judge(Trajectories(positions, steps, none, np.array([at_rest]), np.array([False]), {}, steps), WORLD)
 
 
 def assert_fails(judged, *failing):
@@ -83,7 +83,8 @@ def test_every_episode_is_judged_for_itself():
     finals = [ring(), with_robot(0, (0, 0)), ring(radius=15.1), ring(angles=(0, 28.9, 120, 180, 240, 300)), ring()]
     positions = np.stack(finals)[:, None].astype(np.float32)
     rest = np.array([True, True, True, True, False])
-    judged = judge(Trajectories(positions, np.zeros(5, int), np.zeros((5, 0), int), rest, np.zeros(5, bool), {}), WORLD)
+    zeros = np.zeros(5, int)
+    judged = judge(Trajectories(positions, zeros, np.zeros((5, 0), int), rest, np.zeros(5, bool), {}, zeros), WORLD)
     np.testing.assert_array_equal(judged.valid, [True, False, False, False, False])
     np.testing.assert_array_equal(judged.mutually_visible, [True, False, False, True, True])
     np.testing.assert_array_equal(judged.gathered, [True, True, False, True, True])

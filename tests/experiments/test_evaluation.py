@@ -23,7 +23,7 @@ def made_up(switch, lengths, valid, bound=(10.0, 30.0)):
     alphabetical = enumerate(sorted(NAMES), 1)
     signals = {name: np.full((2, steps), 0.1 * place, np.float32) for place, name in alphabetical}
     still = np.zeros((2, steps, 3, 2), np.float32)
-    ran = Trajectories(still, lengths, np.array(switch, np.int32).reshape(2, -1), valid, ~valid, signals)
+    ran = Trajectories(still, lengths, np.array(switch, np.int32).reshape(2, -1), valid, ~valid, signals, lengths)
     yes = np.ones(2, bool)
     return Evaluation(tiny(), 5, "fresh", ran, Verdict(yes, yes, yes, yes, valid), np.array(bound))
 
@@ -80,7 +80,7 @@ def stands_still(positions, **world):
     none, yes = np.zeros(1, bool), np.ones(1, bool)
     zero = np.zeros(1, np.int32)
     ran = Trajectories(
-        np.array(positions, np.float32)[None, None], zero, np.zeros((1, 0), np.int32), yes, none, signals
+        np.array(positions, np.float32)[None, None], zero, np.zeros((1, 0), np.int32), yes, none, signals, zero
     )
     verdict = Verdict(yes, yes, yes, yes, yes)
     return Evaluation(tiny(world={"safe_distance": 5.0, **world}), 0, "fresh", ran, verdict, np.array([0.0]))

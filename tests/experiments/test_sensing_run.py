@@ -50,6 +50,31 @@ def test_runs_without_a_word_on_sensing_perceive_everything(tmp_path):
     assert config.load(tmp_path) == tiny()
 
 
+def test_a_run_has_a_scheduler_of_its_own_and_counts_epochs(tmp_path):
+    scheduler = {"kind": "async", "delay": 1, "span": 2, "rigid": False}
+    made = training.discover(tiny(**LOCAL, scheduler=scheduler), tmp_path / "run")
+    again = training.Run.open(made.folder)
+    assert again.world.env.scheduler == made.experiment.scheduler
+    assert again.cascade.rest.window == made.experiment.rest.window * 4
+    ran = again.rollout(16)
+    assert (ran.epochs > 0).all()
+    assert (ran.epochs < ran.lengths).all()
+    assert storage.read_json(made.folder / "evaluation.json")["epochs"] > 0
+
+
+def test_without_a_scheduler_an_epoch_is_a_step(run):
+    ran = run.rollout(4)
+    assert (ran.epochs == ran.lengths).all()
+
+
+@pytest.mark.parametrize("kind", ["equivariant", "central"])
+def test_every_policy_may_be_scheduled(kind, tmp_path):
+    credit = {"credit": "swarm"} if kind == "central" else {}
+    config = tiny(policy={"kind": kind, "hidden": [8, 4], **credit}, scheduler={"kind": "ssync", "adversarial": True})
+    ran = training.discover(config, tmp_path / "run").rollout(4)
+    assert (ran.epochs <= ran.lengths).all()
+
+
 @pytest.mark.parametrize(
     ("overlay", "line"),
     [
@@ -58,6 +83,8 @@ def test_runs_without_a_word_on_sensing_perceive_everything(tmp_path):
         ({"policy": {"kind": "local"}, "sensing": {"landmark": False}}, "sensing.landmark = False: must be true with"),
         ({"policy": {"kind": "local", "credit": "swarm"}}, "policy.credit = 'swarm': must be robots: with the policy"),
         ({"policy": {"kind": "local"}, "sensing": {"kind": "radar"}}, "sensing.kind = 'radar': must be"),
+        ({"scheduler": {"kind": "psync"}}, "scheduler.kind = 'psync': must be one of fsync, ssync, async"),
+        ({"scheduler": {"kind": "async", "adversarial": True}}, "scheduler.adversarial = True: must be false with"),
     ],
 )
 def test_eyes_that_do_not_serve_are_refused(overlay, line):

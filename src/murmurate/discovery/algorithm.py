@@ -22,6 +22,8 @@ from murmurate.world import (
     Layouts,
     Mixture,
     Perceived,
+    Scheduled,
+    SchedulerConfig,
     SensingConfig,
     Start,
     StartConfig,
@@ -50,6 +52,7 @@ class Problem:
         rest: When a policy has come to rest.
         seed: Seed of everything random.
         sensing: What robots perceive, where each acts on that alone (the policy local).
+        scheduler: When robots look and move.
     """
 
     world: WorldConfig
@@ -62,6 +65,7 @@ class Problem:
     rest: RestRule
     seed: int
     sensing: SensingConfig = field(default_factory=SensingConfig, kw_only=True)
+    scheduler: SchedulerConfig = field(default_factory=SchedulerConfig, kw_only=True)
 
     def stage(self, index: int) -> StageConfig:
         """Returns how the policy of that place in the list is trained."""
@@ -144,7 +148,10 @@ class Discovery:
 
     def cascade(self, policies: tuple[Any, ...]) -> Cascade:
         """Returns the list of policies as it is executed."""
-        return Cascade(policies, self._seen(self.world, self.world), self.problem.rest)
+        rest, period = self.problem.rest, self.problem.scheduler.period
+        # Rest is rest of every robot: where not all move at every step, a rule of rest counts their cycles.
+        rest = replace(rest, window=rest.window * period, max_steps=rest.max_steps * period)
+        return Cascade(policies, self._seen(self._scheduled(self.world), self.world), rest)
 
     def advance(self, snapshot: Snapshot) -> tuple[Snapshot, list[dict[str, Any]]]:
         """Runs one chunk of updates; after a policy's last one, also evaluates the list.
@@ -228,7 +235,11 @@ class Discovery:
     def _environment(self, index: int, snapshot: Snapshot) -> Any:
         """What a policy is trained in: the world, each action kept up, and what robots perceive of it."""
         world = self._training_world(index, snapshot)
-        return self._seen(Repeated(world, jnp.asarray(self.problem.stage(index).repeat)), world)
+        return self._seen(Repeated(self._scheduled(world), jnp.asarray(self.problem.stage(index).repeat)), world)
+
+    def _scheduled(self, world: World) -> World | Scheduled:
+        scheduler = self.problem.scheduler
+        return world if scheduler.plain else Scheduled(world, scheduler)
 
     def _seen(self, env: Any, world: World) -> Any:
         return env if self._sensing is None else Perceived(env, world, self._sensing)
@@ -242,9 +253,8 @@ class Discovery:
         worlds, clock = jax.random.split(self._draw(index, "worlds"))
         state = _reset(self._environment(index, snapshot), worlds, stage.ppo.worlds)
         # Episodes that all began together would all end together, and every batch would hold one age only.
-        age = _age if self._sensing is None else lambda s: _age(s.world)
-        ages = jax.random.randint(clock, age(state).shape, 0, stage.horizon, age(state).dtype)
-        state = eqx.tree_at(age, state, ages)
+        ages = jax.random.randint(clock, _age(state).shape, 0, stage.horizon, _age(state).dtype)
+        state = eqx.tree_at(_age, state, ages)
         return init(policy, value, state, self._draw(index, "training"))
 
 
@@ -274,6 +284,9 @@ def _reset(env: Any, key: PRNGKeyArray, batch: int) -> Any:
 
 
 def _age(state: Any) -> Any:
+    """Returns the steps since an episode began, whatever its world is wrapped in."""
+    while hasattr(state, "world"):
+        state = state.world
     return state.step
 
 

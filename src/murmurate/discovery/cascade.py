@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from murmurate.errors import GREATEST, MOST, check_number
-from murmurate.world import Perceived, World
+from murmurate.world import Perceived, Scheduled, World, epochs_of
 
 __all__ = ["Cascade", "RestRule", "Trajectories"]
 
@@ -51,6 +51,7 @@ class Trajectories:
         at_rest: Whether the last policy came to rest.
         terminated: Whether the episode ended in a collision or outside the world.
         signals: Signals by name.
+        epochs: Epochs until then: in each, every robot completed a cycle of looking and moving.
     """
 
     positions: Float[np.ndarray, "episodes steps_and_one robots 2"]
@@ -59,6 +60,7 @@ class Trajectories:
     at_rest: Bool[np.ndarray, " episodes"]
     terminated: Bool[np.ndarray, " episodes"]
     signals: dict[str, Float[np.ndarray, "episodes steps_and_one"]]
+    epochs: Int[np.ndarray, " episodes"]
 
     @property
     def final(self) -> Float[np.ndarray, "episodes robots 2"]:
@@ -77,6 +79,7 @@ class _Status(eqx.Module):
     switch: Int[Array, "policies batch"]
     at_rest: Bool[Array, " batch"]
     terminated: Bool[Array, " batch"]
+    epochs: Int[Array, " batch"]
 
     def active(self) -> Bool[Array, " batch"]:
         """Says which episodes still move."""
@@ -91,7 +94,7 @@ class Cascade(eqx.Module):
     """A list of policies, executed one after another in a world."""
 
     policies: tuple[Any, ...]
-    world: World | Perceived
+    world: World | Scheduled | Perceived
     rest: RestRule = eqx.field(static=True)
 
     def rollout(self, starts: Float[np.ndarray, "episodes robots 2"]) -> Trajectories:
@@ -119,6 +122,7 @@ class Cascade(eqx.Module):
             at_rest=np.asarray(status.at_rest),
             terminated=np.asarray(status.terminated),
             signals={n: np.concatenate([s[n] for _, s in parts])[:steps].T for n in names},
+            epochs=np.asarray(status.epochs, np.int32),
         )
 
 
@@ -130,7 +134,7 @@ def _begin(cascade: Cascade, positions: Float[Array, "robots 2 batch"]) -> tuple
     # Of a stated type, not a weak one: the next call would be compiled once more.
     changes = jnp.full((cascade.rest.window, batch), jnp.inf, jnp.float32)
     switch = jnp.zeros((len(cascade.policies), batch), jnp.int32)
-    status = _Status(cascade.world.state(positions), none, none, changes, none, switch, no, no)
+    status = _Status(cascade.world.state(positions), none, none, changes, none, switch, no, no, none)
     first = (positions, cascade.world.signals(positions))
     return status, jax.tree.map(lambda x: x[None], first)
 
@@ -168,5 +172,6 @@ def _step(cascade: Cascade, status: _Status) -> tuple[_Status, tuple[Array, dict
         switch=switch,
         at_rest=status.at_rest | (rested & last),
         terminated=terminated,
+        epochs=jnp.where(active, epochs_of(after), status.epochs),
     )
     return status, (after.positions, transition.signals)

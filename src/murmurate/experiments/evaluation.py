@@ -73,6 +73,7 @@ class Evaluation:
             "base_steps": base,
             "auxiliary_steps": total - base,
             "total_steps": total,
+            "epochs": float(ran.epochs.mean()),
             "bound_steps": bound,
             "efficiency": bound / max(total, 1.0),
             "signal": {**signal, "total": reached},

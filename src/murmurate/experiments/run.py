@@ -17,7 +17,7 @@ from murmurate.experiments import config as configuration
 from murmurate.experiments import storage, trees
 from murmurate.experiments.checkpoint import policy_templates
 from murmurate.experiments.config import ExperimentConfig
-from murmurate.world import Perceived, World, check_configurations, draw_starts
+from murmurate.world import Perceived, Scheduled, World, check_configurations, draw_starts
 
 __all__ = ["MAX_EPISODES", "METRICS", "Run", "check_draw", "policy_files"]
 
@@ -70,7 +70,7 @@ class Run:
         return cls(folder, experiment, discovery.cascade(tuple(policies)), manifest)
 
     @property
-    def world(self) -> World | Perceived:
+    def world(self) -> World | Scheduled | Perceived:
         """The experiment's world, all weights 1."""
         return self.cascade.world
 

@@ -2,6 +2,7 @@
 
 from murmurate.world.config import WorldConfig
 from murmurate.world.perception import Observation, Perceived, PerceivedState
+from murmurate.world.schedulers import Scheduled, ScheduledState, SchedulerConfig, SchedulerKind, epochs_of
 from murmurate.world.sensing import Frames, SensingConfig, SensingKind, View, draw_frames, perceive
 from murmurate.world.signals import OBJECTIVES, Objective, WeightsConfig, signal_names, signals
 from murmurate.world.starts import (
@@ -28,6 +29,10 @@ __all__ = [
     "Observation",
     "Perceived",
     "PerceivedState",
+    "Scheduled",
+    "ScheduledState",
+    "SchedulerConfig",
+    "SchedulerKind",
     "SensingConfig",
     "SensingKind",
     "Start",
@@ -41,6 +46,7 @@ __all__ = [
     "check_configurations",
     "draw_frames",
     "draw_starts",
+    "epochs_of",
     "layout",
     "make_start",
     "perceive",

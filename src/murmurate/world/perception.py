@@ -6,9 +6,9 @@ from typing import Any
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray, UInt32
 
+from murmurate.world.randomness import episode_keys, following, plain, wrapped
 from murmurate.world.sensing import Frames, SensingConfig, View, draw_frames, perceive
 from murmurate.world.starts import Start
 from murmurate.world.world import World
@@ -58,7 +58,7 @@ class Perceived(eqx.Module):
     Robots know their own size, so that a velocity needs no unit of length: only its direction is the robot's own.
 
     Attributes:
-        env: The world, or something that steps one, such as `learning.Repeated`.
+        env: The world, or something that steps one, such as `Scheduled` or `learning.Repeated`.
         world: The world: its sizes, and how a configuration is measured.
         sensing: What is perceived, in which frames.
     """
@@ -74,9 +74,7 @@ class Perceived(eqx.Module):
 
     def state(self, positions: Float[Array, "robots 2 *batch"], seed: int = 0) -> PerceivedState:
         """Returns the state at the beginning of an episode from the given configurations."""
-        key = jax.random.key(seed)
-        keys = jax.random.split(key, positions.shape[2:]) if positions.ndim > 2 else key
-        return self._looking(self.world.state(positions), keys)
+        return self._looking(self.env.state(positions), episode_keys(seed, positions))
 
     @property
     def start(self) -> Start:
@@ -89,31 +87,18 @@ class Perceived(eqx.Module):
 
     def observe(self, state: PerceivedState) -> Observation:
         """Looks around from every robot."""
-        world, keys = self.world, _wrapped(state.key)
+        world, keys = self.world, wrapped(state.key)
         view = perceive(self.sensing, state.positions, state.frames, keys, world.radius, world.scan_radius)
         return Observation(view, state.positions)
 
     def step(self, state: PerceivedState, action: Float[Array, "robots 2 *batch"]) -> tuple[PerceivedState, Any]:
         """Moves every robot by its own velocity; see `World.step`."""
         after, transition = self.env.step(state.world, state.frames.outward(action))
-        keys = _next(_wrapped(state.key))
+        keys = following(wrapped(state.key))
         if self.sensing.redrawn:
             return self._looking(after, keys), transition
-        return PerceivedState(after, state.frames, _data(keys)), transition
+        return PerceivedState(after, state.frames, plain(keys)), transition
 
     def _looking(self, state: Any, keys: PRNGKeyArray) -> PerceivedState:
         frames = draw_frames(self.sensing, keys, state.positions.shape[0], state.positions.dtype)
-        return PerceivedState(state, frames, _data(_next(keys)))
-
-
-def _next(keys: PRNGKeyArray) -> PRNGKeyArray:
-    """Returns other keys, so that what is drawn next has nothing to do with what was drawn before."""
-    return jax.random.fold_in(keys, 1) if keys.ndim == 0 else jax.vmap(jax.random.fold_in, (0, None))(keys, 1)
-
-
-def _data(keys: PRNGKeyArray) -> UInt32[Array, "two *batch"]:
-    return jnp.moveaxis(jax.random.key_data(keys), -1, 0)
-
-
-def _wrapped(data: UInt32[Array, "two *batch"]) -> PRNGKeyArray:
-    return jax.random.wrap_key_data(jnp.moveaxis(data, 0, -1))
+        return PerceivedState(state, frames, plain(following(keys)))

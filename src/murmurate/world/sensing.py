@@ -6,7 +6,6 @@ does not perceive is absent from its view, as a robot that does not exist would 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
@@ -17,6 +16,7 @@ from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from murmurate.errors import InputError, check_choice, check_number
 from murmurate.geometry import neighbors_and_visible
+from murmurate.world.randomness import each
 
 __all__ = ["Frames", "SensingConfig", "SensingKind", "View", "draw_frames", "perceive"]
 
@@ -135,7 +135,7 @@ def draw_frames(config: SensingConfig, keys: PRNGKeyArray, robots: int, dtype: A
             jax.random.uniform(size, (robots,), dtype, -1.0, 1.0),
         )
 
-    angle, mirror, exponent = _each(draw, keys)
+    angle, mirror, exponent = each(draw, keys)
     angle = angle if config.rotation else jnp.zeros_like(angle)
     mirror = mirror if config.reflection else jnp.ones_like(mirror)
     return Frames(jnp.cos(angle), jnp.sin(angle), mirror, jnp.asarray(config.unit, dtype) ** exponent)
@@ -189,17 +189,12 @@ def _blurred(
         turned, nearer = (jax.random.normal(one, shape, dx.dtype) for one in (aside, far))
         return jax.random.bernoulli(miss, config.missed, shape), turned, nearer
 
-    missed, aside, far = _each(draw, keys)
+    missed, aside, far = each(draw, keys)
     angle = config.bearing_noise * aside
     # A perceived distance is never negative: the robot would be seen behind.
     factor = jnp.maximum(1 + config.range_noise * far, 0.01)
     cos, sin = factor * jnp.cos(angle), factor * jnp.sin(angle)
     return cos * dx - sin * dy, sin * dx + cos * dy, seen & ~missed
-
-
-def _each(draw: Callable[[PRNGKeyArray], Any], keys: PRNGKeyArray) -> Any:
-    """Draws for one episode, or for each of a batch, which is then the last axis."""
-    return draw(keys) if keys.ndim == 0 else jax.vmap(draw, out_axes=-1)(keys)
 
 
 def _seen(
