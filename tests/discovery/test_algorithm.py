@@ -137,7 +137,7 @@ def test_every_sigma_is_free_of_collision_and_inside(unbroken):
 def test_the_auxiliary_is_trained_from_where_the_base_came_to_rest(unbroken):
     """Its episodes begin within its noise of a configuration of sigma*, on episodes' clocks of all ages."""
     between = unbroken[0][2]
-    state = Judged(PROBLEM).template(between).env_state
+    state = Judged(PROBLEM).template(between).env_state[0]
     offset = np.abs(np.moveaxis(np.asarray(state.positions), -1, 0)[:, None] - np.asarray(between.sigma))
     assert (offset.max(axis=(2, 3)).min(axis=1) <= 0.2 + 1e-5).all()
     assert offset.max(axis=(2, 3)).min(axis=1).max() > 0.05
@@ -244,7 +244,7 @@ def test_a_random_share_needs_room_for_random_starts(tmp_path):
 def test_without_a_random_share_a_crowd_may_begin_as_it_is(tmp_path):
     """Random starts, of which none is needed, would be redrawn for ever."""
     discovery = Discovery(crowd(tmp_path, random_share=0.0))
-    state = discovery.template(discovery.begin()).env_state
+    state = discovery.template(discovery.begin()).env_state[0]
     np.testing.assert_allclose(np.abs(state.positions), 1.03, rtol=1e-6)
 
 

@@ -1,8 +1,9 @@
 """Algorithms 1 and 2: base and auxiliary policies, the cascade that executes them, and what counts as valid."""
 
-from murmurate.discovery.algorithm import Discovery, Problem, Snapshot, advance_together, policy_name
+from murmurate.discovery.algorithm import Discovery, Snapshot, advance_together, policy_name
 from murmurate.discovery.cascade import Cascade, RestRule, Trajectories
 from murmurate.discovery.config import DiscoveryConfig, StageConfig
+from murmurate.discovery.problem import Problem
 from murmurate.discovery.validity import Verdict, bound_steps, judge
 
 __all__ = [

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import equinox as eqx
@@ -12,68 +12,26 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from murmurate.discovery.cascade import Cascade, RestRule
-from murmurate.discovery.config import DiscoveryConfig, StageConfig
+from murmurate.discovery.cascade import Cascade
+from murmurate.discovery.problem import Problem
 from murmurate.discovery.validity import judge
 from murmurate.learning import Chunk, Hyperparameters, Repeated, Shape, TrainState, init, train_together
-from murmurate.policies import PolicyConfig, Sizes, make_networks
+from murmurate.policies import Sizes, make_networks
 from murmurate.world import (
     Anywhere,
     Layouts,
     Mixture,
     Perceived,
     Scheduled,
-    SchedulerConfig,
-    SensingConfig,
     Start,
     StartConfig,
     WeightsConfig,
     World,
-    WorldConfig,
     draw_starts,
     make_start,
 )
 
-__all__ = ["Discovery", "Problem", "Snapshot", "advance_together", "policy_name"]
-
-
-@dataclass(frozen=True)
-class Problem:
-    """What is to be discovered, and how; an experiment without its bookkeeping.
-
-    Attributes:
-        world: Sizes.
-        objective: C1 or C2.
-        start: Where episodes begin: the paper's (S_0, epsilon).
-        policy: Which networks.
-        base: How the first policy is trained.
-        auxiliary: How each later one is.
-        discovery: How the list grows.
-        rest: When a policy has come to rest.
-        seed: Seed of everything random.
-        sensing: What robots perceive, where each acts on that alone (the policy local).
-        scheduler: When robots look and move.
-    """
-
-    world: WorldConfig
-    objective: str
-    start: StartConfig
-    policy: PolicyConfig
-    base: StageConfig
-    auxiliary: StageConfig
-    discovery: DiscoveryConfig
-    rest: RestRule
-    seed: int
-    sensing: SensingConfig = field(default_factory=SensingConfig, kw_only=True)
-    scheduler: SchedulerConfig = field(default_factory=SchedulerConfig, kw_only=True)
-
-    def stage(self, index: int) -> StageConfig:
-        """Returns how the policy of that place in the list is trained."""
-        return self.base if index == 0 else self.auxiliary
-
-    def evaluation_world(self) -> World:
-        """Builds the world with the experiment's start and all weights 1, as evaluation measures it."""
-        return World.create(self.world, make_start(self.start, self.world), self.objective)
+__all__ = ["Discovery", "Snapshot", "advance_together", "policy_name"]
 
 
 @dataclass(frozen=True)
@@ -120,6 +78,8 @@ class Discovery:
             make_start(StartConfig(kind="random"), problem.world)
         self._sensing = problem.sensing if problem.policy.kind == "local" else None
         self._key = jax.random.key(problem.seed)
+        self._parts = tuple(Discovery(part) for part in problem.parts()) or (self,)
+        self._beginnings = [part.begin() for part in self._parts if part is not self]
         sizes = problem.world
         self._sizes = Sizes(
             robots=sizes.robots,
@@ -161,25 +121,51 @@ class Discovery:
         """
         return advance_together([self], [snapshot])[0]
 
-    def _chunk(self, snapshot: Snapshot) -> Chunk:
-        """Returns the updates to run next."""
+    def steps(self, index: int, updates: int) -> int:
+        """Counts the environment's steps in the first updates of the policy at a place in the list."""
+        each = [part.problem.stage(index).steps_per_update for part in self._parts]
+        rounds, left = divmod(updates, len(each))
+        return rounds * sum(each) + sum(each[self._turn(rounds * len(each) + turn)] for turn in range(left))
+
+    def _turn(self, update: int) -> int:
+        """Returns the place of the swarm size whose turn it is: in every round each once, in an order drawn anew."""
+        turn, place = divmod(update, len(self._parts))
+        return int(np.random.default_rng((self.problem.seed, turn)).permutation(len(self._parts))[place])
+
+    def _begun(self, snapshot: Snapshot) -> TrainState:
+        """Returns where the next policy's training stands, which may be at its beginning."""
+        return snapshot.train or self._init(len(snapshot.policies), snapshot)
+
+    def _chunk(self, snapshot: Snapshot, train: TrainState) -> Chunk:
+        """Returns the updates to run next, all of one swarm size."""
         index = len(snapshot.policies)
-        stage = self.problem.stage(index)
-        train = snapshot.train or self._init(index, snapshot)
-        updates = min(self.problem.discovery.chunk, stage.ppo.updates - int(train.update))
-        env = self._environment(index, snapshot)
-        return Chunk(train, env, Hyperparameters.create(stage.ppo), Shape.create(stage.ppo), updates)
+        place = self._turn(int(train.update))
+        part = self._parts[place]
+        ppo = part.problem.stage(index).ppo
+        updates = min(self.problem.discovery.chunk, ppo.updates - int(train.update)) if part is self else 1
+        train = eqx.tree_at(lambda t: t.env_state, train, train.env_state[place])
+        env = part._environment(index, self._sources(snapshot)[place])
+        return Chunk(train, env, Hyperparameters.create(ppo), Shape.create(ppo), updates)
 
     def _after(
-        self, snapshot: Snapshot, train: TrainState, metrics: dict[str, Any]
+        self, snapshot: Snapshot, before: TrainState, train: TrainState, metrics: dict[str, Any]
     ) -> tuple[Snapshot, list[dict[str, Any]]]:
         """Returns the snapshot after a chunk of updates, and their metrics."""
         index = len(snapshot.policies)
-        stage = self.problem.stage(index)
-        rows = _rows(jax.device_get(metrics), index, int(train.update), stage)
-        if int(train.update) < stage.ppo.updates:
+        place, done = self._turn(int(before.update)), int(train.update)
+        states = (*before.env_state[:place], train.env_state, *before.env_state[place + 1 :])
+        train = eqx.tree_at(lambda t: t.env_state, train, states)
+        rows = _rows(jax.device_get(metrics), index, done)
+        for row in rows:
+            row["policy_steps"] = self.steps(index, row["update"])
+            row["robots"] = self._parts[place].problem.world.robots
+        if done < self.problem.stage(index).ppo.updates:
             return replace(snapshot, train=train), rows
         return self._conclude(snapshot, train.policy), rows
+
+    def _sources(self, snapshot: Snapshot) -> list[Snapshot]:
+        """Returns where each part's training begins: among several swarm sizes there are no restarts."""
+        return self._beginnings or [snapshot]
 
     def _conclude(self, snapshot: Snapshot, policy: Any) -> Snapshot:
         """Appends a trained policy, evaluates from sigma, and decides whether the list is complete."""
@@ -198,8 +184,14 @@ class Discovery:
 
     def validity(self, policies: tuple[Any, ...], key: PRNGKeyArray) -> float:
         """Returns the share of fresh episodes from (S_0, epsilon) in which the list forms a valid pattern."""
-        starts = draw_starts(self.world.start, key, self.problem.discovery.episodes)
-        return float(judge(self.cascade(policies).rollout(starts), self.problem.world).valid.mean())
+        valid = [
+            judge(
+                part.cascade(policies).rollout(draw_starts(part.world.start, key, part.problem.discovery.episodes)),
+                part.problem.world,
+            ).valid
+            for part in self._parts
+        ]
+        return float(np.concatenate(valid).mean())
 
     def _draw(self, index: int, purpose: str) -> PRNGKeyArray:
         purposes = ("networks", "training", "sigma", "evaluation", "worlds", "initial")
@@ -250,12 +242,18 @@ class Discovery:
         if index and stage.warm_start:
             policy = snapshot.policies[-1]
         policy = eqx.tree_at(lambda p: p.log_std, policy, jnp.full_like(policy.log_std, stage.ppo.log_std))
+        begun = zip(self._parts, self._sources(snapshot), strict=True)
+        states = tuple(part._worlds(index, source) for part, source in begun)
+        return init(policy, value, states, self._draw(index, "training"))
+
+    def _worlds(self, index: int, snapshot: Snapshot) -> Any:
+        """Begins the parallel episodes that a policy is trained in."""
+        stage = self.problem.stage(index)
         worlds, clock = jax.random.split(self._draw(index, "worlds"))
         state = _reset(self._environment(index, snapshot), worlds, stage.ppo.worlds)
         # Episodes that all began together would all end together, and every batch would hold one age only.
         ages = jax.random.randint(clock, _age(state).shape, 0, stage.horizon, _age(state).dtype)
-        state = eqx.tree_at(_age, state, ages)
-        return init(policy, value, state, self._draw(index, "training"))
+        return eqx.tree_at(_age, state, ages)
 
 
 def advance_together(
@@ -270,11 +268,10 @@ def advance_together(
     Returns:
         What `Discovery.advance` returns, for each. It is the same as alone, but for the order of floating-point sums.
     """
-    chunks = [one._chunk(snapshot) for one, snapshot in zip(discoveries, snapshots, strict=True)]
-    return [
-        one._after(snapshot, *trained)
-        for one, snapshot, trained in zip(discoveries, snapshots, train_together(chunks), strict=True)
-    ]
+    begun = [one._begun(snapshot) for one, snapshot in zip(discoveries, snapshots, strict=True)]
+    works = list(zip(discoveries, snapshots, begun, strict=True))
+    trained = train_together([one._chunk(snapshot, train) for one, snapshot, train in works])
+    return [one._after(snapshot, train, *after) for (one, snapshot, train), after in zip(works, trained, strict=True)]
 
 
 # Outside of a jit, the loop that redraws overlaps would be compiled anew at every call.
@@ -299,13 +296,15 @@ def _with_array_leaves(tree: Any) -> Any:
     return jax.tree.map(lambda x: jnp.asarray(x) if isinstance(x, int | float) else x, tree)
 
 
-def _rows(metrics: dict[str, Any], index: int, done: int, stage: StageConfig) -> list[dict[str, Any]]:
+def _rows(metrics: dict[str, Any], index: int, done: int) -> list[dict[str, Any]]:
     """Turns stacked metrics of the last updates, `done` of them by now, into one row an update."""
     count = len(metrics["reward"])
-    done -= count
-    rows = []
-    for i in range(count):
-        row = jax.tree.map(lambda x, i=i: float(x[i]), metrics)
-        steps = (done + i + 1) * stage.steps_per_update
-        rows.append({"policy": index, "name": policy_name(index), "update": done + i + 1, "policy_steps": steps, **row})
-    return rows
+    return [
+        {
+            "policy": index,
+            "name": policy_name(index),
+            "update": done - count + i + 1,
+            **jax.tree.map(lambda x, i=i: float(x[i]), metrics),
+        }
+        for i in range(count)
+    ]

@@ -11,7 +11,7 @@ from typing import Any, Literal
 from murmurate.discovery import Problem
 from murmurate.errors import InputError, RunError, check_choice
 from murmurate.experiments import fields, storage
-from murmurate.world import SensingConfig
+from murmurate.world import SensingConfig, grown
 
 __all__ = ["STARTS", "ExperimentConfig", "check_same", "check_seed", "load", "read_toml", "save"]
 
@@ -41,6 +41,8 @@ class ExperimentConfig(Problem):
         if not re.fullmatch(r"\w[\w .+-]{0,63}", self.name):
             raise InputError("name", self.name, "up to 64 letters, digits, spaces and . + - _")
         self._check_sensing()
+        if self.sizes:
+            self._check_sizes()
 
     def _check_sensing(self) -> None:
         """Refuses eyes that the policy does not use, or that cannot serve the objective."""
@@ -52,6 +54,20 @@ class ExperimentConfig(Problem):
         if self.objective == "C1" and not self.sensing.landmark:
             reason = "true with objective C1: in frames of their own, robots find a given point only by a landmark"
             raise InputError("sensing.landmark", False, reason)
+
+    def _check_sizes(self) -> None:
+        """Refuses swarm sizes that one policy cannot be trained among."""
+        for robots in self.sizes:
+            grown(self.world, robots)
+        if len(set(self.sizes)) < len(self.sizes):
+            raise InputError("sizes", self.sizes, "different from each other")
+        if self.policy.kind == "central":
+            raise InputError("policy.kind", "central", "equivariant or local with sizes: central knows one size only")
+        if self.start.kind != "random":
+            raise InputError("start.kind", self.start.kind, "random with sizes: other starts are of one size")
+        if self.discovery.max_policies > 1:
+            allowed = "1 with sizes: a swarm of any size runs one policy, and nobody tells it when to change"
+            raise InputError("discovery.max_policies", self.discovery.max_policies, allowed)
 
 
 def check_seed(seed: object) -> None:

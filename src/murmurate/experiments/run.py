@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -73,6 +73,22 @@ class Run:
     def world(self) -> World | Scheduled | Perceived:
         """The experiment's world, all weights 1."""
         return self.cascade.world
+
+    def of_size(self, robots: int) -> Run:
+        """Returns the run with its policies in a swarm of another size, in a world grown to it.
+
+        Raises:
+            InputError: The policies are for one size only, or there are too few or too many robots.
+        """
+        if robots == self.experiment.world.robots:
+            return self
+        if self.experiment.policy.kind == "central":
+            allowed = f"{self.experiment.world.robots}: the policy central is of one size"
+            raise InputError("robots", robots, allowed)
+        if self.experiment.start.kind == "file":
+            raise InputError("robots", robots, f"{self.experiment.world.robots}, as in the run's file of starts")
+        experiment = self.experiment.of_size(robots)
+        return replace(self, experiment=experiment, cascade=Discovery(experiment).cascade(self.cascade.policies))
 
     def starts(self, episodes: int, key: int | PRNGKeyArray = 0) -> Float[np.ndarray, "episodes robots 2"]:
         """Draws fresh starts of the experiment.

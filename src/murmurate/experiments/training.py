@@ -138,15 +138,16 @@ def _advance(works: Sequence[_Work]) -> tuple[list[_Work], list[dict[str, Any]]]
     after, last = [], []
     for work, (snapshot, rows) in zip(works, advanced, strict=True):
         point, index = work.point, len(work.point.snapshot.policies)
-        steps = work.discovery.problem.stage(index).steps_per_update
+        trained = _environment_steps(work.discovery, index)
+        steps = rows[-1]["policy_steps"] - work.discovery.steps(index, rows[0]["update"] - 1)
         # Of the time that all took together, each is charged an equal part.
         share = took / len(works)
         done = [
             {
-                "environment_steps": _environment_steps(work.discovery, index) + row.pop("policy_steps"),
+                "environment_steps": trained + row.pop("policy_steps"),
                 **row,
                 "objective": sum(row["signals"].values()),
-                "steps_per_second": len(rows) * steps / share,
+                "steps_per_second": steps / share,
                 "seconds": point.seconds + share * (place + 1) / len(rows),
             }
             for place, row in enumerate(rows)
@@ -162,8 +163,7 @@ def _advance(works: Sequence[_Work]) -> tuple[list[_Work], list[dict[str, Any]]]
 
 def _environment_steps(discovery: Discovery, policies: int) -> int:
     """Counts the steps that training the first policies of the list took; evaluations are not training."""
-    stages = [discovery.problem.stage(index) for index in range(policies)]
-    return sum(stage.ppo.updates * stage.steps_per_update for stage in stages)
+    return sum(discovery.steps(index, discovery.problem.stage(index).ppo.updates) for index in range(policies))
 
 
 def _tell(

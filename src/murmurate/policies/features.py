@@ -6,7 +6,7 @@ cheap sums cost less than learned layers of the same breadth would.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
@@ -18,6 +18,9 @@ __all__ = ["SHADOWS", "Surroundings", "measured", "pair_channels", "robot_channe
 
 SHADOWS = 6
 """Channels of `_shadows`."""
+
+MEAN = 8.0
+"""Where the mean distance lies among the centres of the radial basis, if distances are measured by it."""
 
 
 class Surroundings(NamedTuple):
@@ -46,7 +49,7 @@ def robot_channels(basis: int, landmark: bool) -> int:
     return 2 * basis + SHADOWS + (2 * basis if landmark else 0)
 
 
-def radial_basis(distance: Float[Array, "*shape"], count: int, scale: float) -> Float[Array, "basis *shape"]:
+def radial_basis(distance: Float[Array, "*shape"], count: int, scale: Any) -> Float[Array, "basis *shape"]:
     """Gaussians in the logarithm of the distance, from 0.4 to 16 safe distances: fine near by, coarse far away."""
     centers = jnp.linspace(jnp.log(0.4), jnp.log(16.0), count)
     width = centers[1] - centers[0]
@@ -107,6 +110,8 @@ def measured(
     point_y: Float[Array, "robots *batch"],
     basis: int,
     sizes: Sizes,
+    *,
+    scale_free: bool = False,
 ) -> Surroundings:
     """Measures what every robot sees, of those that it does see; the observer is the first axis.
 
@@ -118,16 +123,27 @@ def measured(
         point_y: The other one.
         basis: Number of radial basis functions.
         sizes: Units of length.
+        scale_free: Whether those beyond two safe distances are measured by the mean distance of all that are seen, and
+            by their share of these: then large, wide swarms look to a robot as small, narrow ones do.
     """
     square = dx * dx + dy * dy
     distance = jnp.sqrt(jnp.where(apart, square, 1.0))
     ux, uy = (jnp.where(apart, d / distance, 0.0) for d in (dx, dy))
-    radial = radial_basis(distance, basis, sizes.safe_distance) * apart.astype(dx.dtype)
+    radial = radial_basis(distance, basis, sizes.safe_distance)
+    others = jnp.maximum(jnp.sum(apart, axis=1), 1).astype(dx.dtype)
+    if scale_free:
+        mean = jnp.sum(jnp.where(apart, distance, 0.0), axis=1) / others
+        relative = radial_basis(distance, basis, (mean / MEAN)[:, None])
+        radial = jnp.concatenate([radial[: basis // 2], relative[basis // 2 :]])
+    radial = radial * apart.astype(dx.dtype)
 
     def seen(i: int) -> tuple[Array, Array, Array]:
         return radial[:, :, i], radial[:, :, i] * ux[:, i], radial[:, :, i] * uy[:, i]
 
-    crowd, sx, sy = (total / 4 for total in fold(seen, dx.shape[0]))
+    crowd, sx, sy = (total * 0.25 for total in fold(seen, dx.shape[0]))
+    if scale_free:
+        far = (jnp.arange(basis) >= basis // 2).reshape((-1,) + (1,) * others.ndim)
+        crowd, sx, sy = (jnp.where(far, 8 / others, 1.0) * total for total in (crowd, sx, sy))
     # Where i lies in the crowd around k, ring by ring, two basis functions to a ring.
     rings = basis // 2
     rx, ry = (s[: 2 * rings].reshape((rings, 2, *s.shape[1:])).sum(axis=1)[:, :, None] for s in (sx, sy))

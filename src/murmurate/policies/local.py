@@ -4,9 +4,11 @@ Robot k moves along unit vectors u_ki towards those that it perceives, and their
 
     v_k = sum over i of w(d_ki) (g_ki u_ki + h_ki perp(u_ki)) + mean over i of (g'_ki u_ki + h'_ki perp(u_ki)),
 
-with coefficients that depend on the distances and angles in its own view alone. Who is near is summed up (w falls off
-within two safe distances, and only so many robots fit there), who is far averaged, and what is counted enters by its
-logarithm: nothing grows with the swarm. So the same weights act in swarms much larger than those they were trained in.
+with coefficients that depend on the distances and angles in its own view alone. Who matters most is summed up: who is
+near (w falls off within two safe distances, and only so many robots fit there), and who is about to hide, to be hidden,
+or to be hidden behind the robot itself, however far (w is bounded by their number). Everybody else is averaged; those
+far away are measured by their mean distance, and what is counted enters by its logarithm. So nothing grows with the
+swarm or its width, and the same weights act in swarms much larger than those they were trained in.
 
 Lengths are taken in radii as the robot perceives them, so that its unit of length drops out; turning its frame turns
 its velocity with it.
@@ -24,11 +26,15 @@ from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from murmurate.policies.config import PolicyConfig, Sizes
 from murmurate.policies.equivariant import EquivariantValue
-from murmurate.policies.features import Surroundings, measured, pair_channels, point, robot_channels
+from murmurate.policies.features import SHADOWS, Surroundings, measured, pair_channels, point, robot_channels
 from murmurate.policies.gaussian import Gaussian
 from murmurate.policies.layers import Dense, Linear, bounded, fold
 
 __all__ = ["LocalPolicy", "LocalValue", "Perception", "View"]
+
+
+CRITICAL = 6.0
+"""Lines of sight about to be crossed weigh, all together, less than so many robots near by."""
 
 
 class View(Protocol):
@@ -111,7 +117,7 @@ class LocalPolicy(eqx.Module):
         x, y = view.x * scale[:, None], view.y * scale[:, None]
         px, py = view.point_x * scale, view.point_y * scale
         seen = view.seen & (x * x + y * y > 0)
-        around = measured(x, y, seen, px, py, self.basis, sizes)
+        around = measured(x, y, seen, px, py, self.basis, sizes, scale_free=True)
         nodes = jnp.tanh(self.node(_compressed(around.robot)))
         edges = jnp.tanh(self.pair(_compressed(around.pair)) + self.mine(nodes)[:, :, None])
         vx, vy = self._sum(around, self.head(edges), x, y, seen)
@@ -124,6 +130,11 @@ class LocalPolicy(eqx.Module):
     def _sum(self, around: Surroundings, head: Any, x: Array, y: Array, seen: Array) -> tuple[Array, Array]:
         g, h, far_g, far_h = head
         near = jnp.exp(-(x * x + y * y) / (2 * self.sizes.safe_distance) ** 2)
+        hiding, _, hidden, _, behind, _ = around.pair[-SHADOWS:]
+        critical = jnp.tanh(hiding + hidden + behind)
+        # However many they are, they weigh no more than so many.
+        most = CRITICAL / (CRITICAL + jnp.sum(critical, axis=1))[:, None]
+        near = jnp.maximum(near, most * critical)
         share = 1 / jnp.maximum(jnp.sum(seen, axis=1), 1)[:, None].astype(x.dtype)
         g, h = near * g + share * far_g, near * h + share * far_h
         ahead, aside = (g * around.ux - h * around.uy, g * around.uy + h * around.ux)

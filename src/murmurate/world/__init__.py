@@ -1,6 +1,6 @@
 """The Markov decision process: world, signals, objective and starts. Knows geometry and nothing of learning."""
 
-from murmurate.world.config import WorldConfig
+from murmurate.world.config import WorldConfig, grown
 from murmurate.world.perception import Observation, Perceived, PerceivedState
 from murmurate.world.schedulers import Scheduled, ScheduledState, SchedulerConfig, SchedulerKind, epochs_of
 from murmurate.world.sensing import Frames, SensingConfig, SensingKind, View, draw_frames, perceive
@@ -47,6 +47,7 @@ __all__ = [
     "draw_frames",
     "draw_starts",
     "epochs_of",
+    "grown",
     "layout",
     "make_start",
     "perceive",

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 from murmurate.errors import GREATEST, InputError, check_number
 
-__all__ = ["Safety", "WorldConfig"]
+__all__ = ["Safety", "WorldConfig", "grown"]
 
 Safety = Literal["penalty", "shell"]
+
+
+MOST_ROBOTS = 10_000
 
 
 @dataclass(frozen=True)
@@ -48,3 +51,31 @@ class WorldConfig:
         check_number("collision_penalty", self.collision_penalty, 0, GREATEST)
         if self.safety not in get_args(Safety):
             raise InputError("safety", self.safety, f"one of {', '.join(get_args(Safety))}")
+
+
+def grown(config: WorldConfig, robots: int) -> WorldConfig:
+    """Returns the same world for a swarm of another size: its robots are the same, its sides and the scan radius grow.
+
+    The paper's worlds have half-sides of 20 + 2.5 N. The smallest ring of robots that all see each other grows as N^2,
+    and so do worlds beyond 23 robots, so that there is room for it at any size.
+
+    Args:
+        config: The world.
+        robots: Number of robots.
+
+    Raises:
+        InputError: There are too few or too many of them.
+    """
+    check_number("robots", robots, 2, MOST_ROBOTS, integer=True)
+    factor = _room(robots) / _room(config.robots)
+    return replace(
+        config,
+        robots=robots,
+        half_width=factor * config.half_width,
+        half_height=factor * config.half_height,
+        scan_radius=factor * config.scan_radius,
+    )
+
+
+def _room(robots: int) -> float:
+    return max(20 + 2.5 * robots, 0.15 * robots**2)
