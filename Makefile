@@ -6,7 +6,7 @@ EXPERIMENT ?= C
 SEED ?= 0
 OUT ?= runs/$(EXPERIMENT)-equivariant-seed$(SEED)
 
-.PHONY: discover test lint benchmark results seeds optima clean
+.PHONY: discover test lint benchmark results seeds optima pretrained compare clean
 
 $(VENV)/.installed: pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "murmurate needs Python >= 3.11; set PYTHON=...")'
@@ -38,6 +38,12 @@ seeds: $(VENV)/.installed  ## trains sixteen seeds of A-F (an hour or two); writ
 
 optima: $(VENV)/.installed  ## searches for better patterns than the best known (two hours); keeps what is better
 	$(BIN)/python -m benchmarks.optima
+
+pretrained: $(VENV)/.installed  ## trains the weights that come with the package (half an hour)
+	$(BIN)/python -m benchmarks.pretrained
+
+compare: $(VENV)/.installed  ## learned policies and baselines, 1,000 starts a cell (hours); writes into docs/results.md
+	$(BIN)/murmurate compare --robots 3,4,5,6,7,8,9,10,11,12,13,14,15,16,24,32 --out docs/comparison --into docs/results.md
 
 clean:
 	rm -rf $(VENV) build *.egg-info

@@ -9,7 +9,7 @@ if TYPE_CHECKING:
 
     from murmurate.experiments.run import Run
 
-__all__ = ["__version__", "load"]
+__all__ = ["__version__", "load", "pretrained"]
 
 __version__ = "0.1.0"
 
@@ -29,3 +29,22 @@ def load(run: str | Path) -> Run:
     from murmurate.experiments.run import Run  # only now, because it loads JAX
 
     return Run.open(run)
+
+
+def pretrained(objective: str = "C2", sensing: str = "visible", scheduler: str = "fsync") -> Run:
+    """Opens weights that come with the package: one policy for swarms of any size, trained without further ado.
+
+    Args:
+        objective: C2 (gathering anywhere).
+        sensing: What robots perceive: visible (whom nobody hides) or global (everybody), in frames of their own.
+        scheduler: When they move: fsync, ssync, adversarial, async or async-nonrigid.
+
+    Returns:
+        The run; `of_size(robots)` puts it into a swarm of another size.
+
+    Raises:
+        InputError: There are no such weights; the message lists those that there are.
+    """
+    from murmurate.experiments import weights
+
+    return weights.pretrained(objective, sensing, scheduler)

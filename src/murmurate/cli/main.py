@@ -27,6 +27,7 @@ VERBS = {
     "catalogue": "sort what runs found into classes of patterns, and draw them on a plate",
     "optimum": "search for the best formation there is, or list the best known",
     "experiments": "list the experiments",
+    "compare": "run learned policies and baselines from the same starts, with the same eyes and schedulers",
     "table": "write the results of many runs as a Markdown table",
     "reproduce": "train everything, and write a report of the paper's tables and figures beside ours",
 }

@@ -207,6 +207,8 @@ class Discovery:
     def _training_world(self, index: int, snapshot: Snapshot) -> World:
         """The world that a policy trains in: base and auxiliary differ in numbers only, so one compilation serves."""
         stage, sizes = self.problem.stage(index), self.problem.world
+        factor = 1 + stage.margin
+        sizes = replace(sizes, radius=factor * sizes.radius, safe_distance=factor * sizes.safe_distance)
         place = {"half_width": sizes.half_width, "half_height": sizes.half_height, "radius": sizes.radius}
         noise = (self.problem.start.noise if index == 0 else stage.noise) * sizes.radius
         share = stage.random_share if index == 0 else 0.0
@@ -227,7 +229,8 @@ class Discovery:
     def _environment(self, index: int, snapshot: Snapshot) -> Any:
         """What a policy is trained in: the world, each action kept up, and what robots perceive of it."""
         world = self._training_world(index, snapshot)
-        return self._seen(Repeated(self._scheduled(world), jnp.asarray(self.problem.stage(index).repeat)), world)
+        # What robots perceive, they perceive as it is: no margin there.
+        return self._seen(Repeated(self._scheduled(world), jnp.asarray(self.problem.stage(index).repeat)), self.world)
 
     def _scheduled(self, world: World) -> World | Scheduled:
         scheduler = self.problem.scheduler

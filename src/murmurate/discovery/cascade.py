@@ -97,16 +97,17 @@ class Cascade(eqx.Module):
     world: World | Scheduled | Perceived
     rest: RestRule = eqx.field(static=True)
 
-    def rollout(self, starts: Float[np.ndarray, "episodes robots 2"]) -> Trajectories:
+    def rollout(self, starts: Float[np.ndarray, "episodes robots 2"], seed: int = 0) -> Trajectories:
         """Executes the cascade from the given configurations, always with the most likely action.
 
         Args:
             starts: One configuration for each episode.
+            seed: Seed of the robots' frames, of noise and of the scheduler, where there are any.
 
         Returns:
             What happened, until the last episode ended.
         """
-        status, first = _begin(self, jnp.moveaxis(jnp.asarray(starts, jnp.float32), 0, -1))
+        status, first = _begin(self, jnp.moveaxis(jnp.asarray(starts, jnp.float32), 0, -1), jnp.asarray(seed))
         parts = [jax.device_get(first)]
         while bool(jnp.any(status.active())):
             status, part = _advance(self, status)
@@ -127,14 +128,16 @@ class Cascade(eqx.Module):
 
 
 @eqx.filter_jit
-def _begin(cascade: Cascade, positions: Float[Array, "robots 2 batch"]) -> tuple[_Status, tuple[Array, Any]]:
+def _begin(
+    cascade: Cascade, positions: Float[Array, "robots 2 batch"], seed: Int[Array, ""]
+) -> tuple[_Status, tuple[Array, Any]]:
     batch = positions.shape[-1]
     none = jnp.zeros(batch, jnp.int32)
     no = jnp.zeros(batch, bool)
     # Of a stated type, not a weak one: the next call would be compiled once more.
     changes = jnp.full((cascade.rest.window, batch), jnp.inf, jnp.float32)
     switch = jnp.zeros((len(cascade.policies), batch), jnp.int32)
-    status = _Status(cascade.world.state(positions), none, none, changes, none, switch, no, no, none)
+    status = _Status(cascade.world.state(positions, seed), none, none, changes, none, switch, no, no, none)
     first = (positions, cascade.world.signals(positions))
     return status, jax.tree.map(lambda x: x[None], first)
 

@@ -23,6 +23,8 @@ class StageConfig:
         noise: Half-width of the uniform noise on each restart configuration, in robot radii (auxiliary only).
         random_share: Share of training episodes that begin anywhere in the world instead of at the start (base only).
         random_spread: Such an episode's robots lie in two windows, each of at least this share of the world's sides.
+        margin: Robots are trained as if their radius and safe distance were larger by this share, so that patterns hold
+            with room to spare.
         warm_start: Whether the policy begins with the weights of the one before, all but the spread of its actions
             (auxiliary only); its value is new.
     """
@@ -34,12 +36,14 @@ class StageConfig:
     noise: float = 0.25
     random_share: float = 0.5
     random_spread: float = 0.05
+    margin: float = 0.0
     warm_start: bool = False
 
     def __post_init__(self) -> None:
         for name in ("horizon", "repeat"):
             check_number(name, getattr(self, name), 1, MOST, integer=True)
         check_number("noise", self.noise, 0, GREATEST)
+        check_number("margin", self.margin, 0, 10)
         check_number("random_share", self.random_share, 0, 1)
         check_number("random_spread", self.random_spread, 0, 1, exclusive_low=True)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -77,18 +78,51 @@ class Run:
     def of_size(self, robots: int) -> Run:
         """Returns the run with its policies in a swarm of another size, in a world grown to it.
 
+        Warns once of a size beyond those that the policies were trained among.
+
         Raises:
             InputError: The policies are for one size only, or there are too few or too many robots.
         """
-        if robots == self.experiment.world.robots:
+        own, sizes = self.experiment.world.robots, self.experiment.sizes
+        if robots == own:
             return self
         if self.experiment.policy.kind == "central":
-            allowed = f"{self.experiment.world.robots}: the policy central is of one size"
-            raise InputError("robots", robots, allowed)
+            raise InputError("robots", robots, f"{own}: the policy central is of one size")
         if self.experiment.start.kind == "file":
-            raise InputError("robots", robots, f"{self.experiment.world.robots}, as in the run's file of starts")
-        experiment = self.experiment.of_size(robots)
+            raise InputError("robots", robots, f"{own}, as in the run's file of starts")
+        changed = self.under(self.experiment.of_size(robots))
+        if sizes and not min(sizes) <= robots <= max(sizes):
+            text = f"robots = {robots}: trained were swarms of {min(sizes)} to {max(sizes)}; others may do worse"
+            warnings.warn(text, stacklevel=2)
+        return changed
+
+    def under(self, experiment: ExperimentConfig) -> Run:
+        """Returns the run with its policies in another world, with other eyes or under another scheduler.
+
+        Raises:
+            InputError: The experiment is impossible.
+        """
         return replace(self, experiment=experiment, cascade=Discovery(experiment).cascade(self.cascade.policies))
+
+    def save(self, folder: str | Path) -> Path:
+        """Writes the run, as it is, to a folder of its own; without an evaluation.
+
+        Raises:
+            RunError: The folder holds something already, or cannot be written to.
+        """
+        folder = Path(folder)
+        storage.claim(folder)
+        configuration.save(self.experiment, folder)
+        files = policy_files(len(self.cascade.policies))
+        storage.make_folder(folder / "policies")
+        for file, policy in zip(files, self.cascade.policies, strict=True):
+            trees.save(folder / file, policy)
+        if (self.folder / METRICS).is_file():
+            storage.write_bytes(folder / METRICS, (self.folder / METRICS).read_bytes())
+        kept = [storage.EXPERIMENT, *([configuration.STARTS] if self.experiment.start.file else []), *files]
+        manifest = {**self.manifest, "robots": self.experiment.world.robots}
+        storage.write_json(folder / storage.MANIFEST, {**manifest, "checksums": storage.checksums(folder, kept)})
+        return folder
 
     def starts(self, episodes: int, key: int | PRNGKeyArray = 0) -> Float[np.ndarray, "episodes robots 2"]:
         """Draws fresh starts of the experiment.

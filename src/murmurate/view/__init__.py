@@ -8,6 +8,7 @@ Example:
 """
 
 from murmurate.view.animation import animate
+from murmurate.view.comparison import comparison_figure, failures_figure
 from murmurate.view.drawing import Drawing, draw_configuration
 from murmurate.view.figures import discovery_figure, patterns_figure
 from murmurate.view.files import save
@@ -27,8 +28,10 @@ __all__ = [
     "Sizes",
     "Training",
     "animate",
+    "comparison_figure",
     "discovery_figure",
     "draw_configuration",
+    "failures_figure",
     "formation_figure",
     "growth_figure",
     "patterns_figure",

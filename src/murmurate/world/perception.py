@@ -72,9 +72,9 @@ class Perceived(eqx.Module):
         begin, look = jax.random.split(key)
         return self._looking(self.env.reset_batch(begin, batch), jax.random.split(look, batch))
 
-    def state(self, positions: Float[Array, "robots 2 *batch"], seed: int = 0) -> PerceivedState:
+    def state(self, positions: Float[Array, "robots 2 *batch"], seed: Any = 0) -> PerceivedState:
         """Returns the state at the beginning of an episode from the given configurations."""
-        return self._looking(self.env.state(positions), episode_keys(seed, positions))
+        return self._looking(self.env.state(positions, seed), episode_keys(seed, positions))
 
     @property
     def start(self) -> Start:

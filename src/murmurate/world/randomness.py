@@ -12,7 +12,7 @@ from jaxtyping import Array, Float, PRNGKeyArray, UInt32
 __all__ = ["each", "episode_keys", "following", "plain", "wrapped"]
 
 
-def episode_keys(seed: int, positions: Float[Array, "robots 2 *batch"]) -> PRNGKeyArray:
+def episode_keys(seed: Any, positions: Float[Array, "robots 2 *batch"]) -> PRNGKeyArray:
     """Returns a key for the episode that begins at a configuration, or for each of a batch."""
     key = jax.random.key(seed)
     return jax.random.split(key, positions.shape[2:]) if positions.ndim > 2 else key
@@ -23,9 +23,9 @@ def each(draw: Callable[[PRNGKeyArray], Any], keys: PRNGKeyArray) -> Any:
     return draw(keys) if keys.ndim == 0 else jax.vmap(draw, out_axes=-1)(keys)
 
 
-def following(keys: PRNGKeyArray) -> PRNGKeyArray:
-    """Returns other keys, so that what is drawn next has nothing to do with what was drawn before."""
-    return jax.random.fold_in(keys, 1) if keys.ndim == 0 else jax.vmap(jax.random.fold_in, (0, None))(keys, 1)
+def following(keys: PRNGKeyArray, number: int = 1) -> PRNGKeyArray:
+    """Returns other keys, so that what is drawn next, or for something else, has nothing to do with what was drawn."""
+    return jax.random.fold_in(keys, number) if keys.ndim == 0 else jax.vmap(jax.random.fold_in, (0, None))(keys, number)
 
 
 def plain(keys: PRNGKeyArray) -> UInt32[Array, "two *batch"]:

@@ -142,9 +142,10 @@ class Scheduled(eqx.Module):
         begin, clocks = jax.random.split(key)
         return self._begun(self.world.reset_batch(begin, batch), jax.random.split(clocks, batch))
 
-    def state(self, positions: Float[Array, "robots 2 *batch"], seed: int = 0) -> ScheduledState:
+    def state(self, positions: Float[Array, "robots 2 *batch"], seed: Any = 0) -> ScheduledState:
         """Returns the state at the beginning of an episode from the given configurations."""
-        return self._begun(self.world.state(positions), episode_keys(seed, positions))
+        # Other numbers than those of the frames, which are drawn by the same seed.
+        return self._begun(self.world.state(positions), following(episode_keys(seed, positions), 2))
 
     @property
     def start(self) -> Start:
@@ -210,13 +211,11 @@ class Scheduled(eqx.Module):
         """Tries some choices, and takes the one after which the objective is least, a collision least of all."""
         robots, dtype = state.positions.shape[0], state.positions.dtype
 
-        def attempt(number: Array) -> tuple[ScheduledState, Any]:
-            split = jax.random.fold_in
-            mine = split(keys, number) if keys.ndim == 0 else jax.vmap(split, (0, None))(keys, number)
-            choice = each(lambda key: self._choose(key, robots, dtype), mine)
+        def attempt(number: int) -> tuple[ScheduledState, Any]:
+            choice = each(lambda key: self._choose(key, robots, dtype), following(keys, number))
             return self._moved(state, velocities, choice)
 
-        tried = [attempt(jnp.asarray(number, jnp.uint32)) for number in range(2, 2 + CANDIDATES)]
+        tried = [attempt(number) for number in range(2, 2 + CANDIDATES)]
         worst = tried[0]
         for other in tried[1:]:
             worse = other[1].reward < worst[1].reward

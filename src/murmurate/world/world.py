@@ -129,8 +129,14 @@ class World(eqx.Module):
     def _standing(self, positions: Any, objective: Any) -> Any:
         return self.objective(shares(positions, **self._measures())) if self.by_robot else objective[None]
 
-    def state(self, positions: Float[Array, "robots 2 *batch"]) -> State:
-        """Returns the state at the beginning of an episode from the given configurations."""
+    def state(self, positions: Float[Array, "robots 2 *batch"], seed: Any = 0) -> State:
+        """Returns the state at the beginning of an episode from the given configurations.
+
+        Args:
+            positions: The configurations.
+            seed: Not used: the world draws nothing. What a world is wrapped in may.
+        """
+        del seed
         objective = self.objective(self.signals(positions))
         step = jnp.zeros(positions.shape[2:], jnp.int32)
         return State(positions, step, objective, self._standing(positions, objective))

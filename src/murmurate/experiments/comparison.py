@@ -1,0 +1,307 @@
+"""Method against method, with the same eyes, schedulers, starts and step budget: how often each forms a pattern."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from murmurate.baselines import BASELINES
+from murmurate.discovery import Discovery, Trajectories, bound_steps, judge
+from murmurate.errors import RunError, check_choice, check_number
+from murmurate.experiments import storage
+from murmurate.experiments.config import ExperimentConfig, check_seed
+from murmurate.experiments.evaluation import wilson
+from murmurate.experiments.run import MAX_EPISODES, Run
+from murmurate.geometry import neighbors_and_visible
+from murmurate.patterns.best_known import best_known
+from murmurate.patterns.formation import Target
+from murmurate.policies import Sizes
+from murmurate.world import SchedulerConfig, SensingConfig, WorldConfig, draw_starts
+
+__all__ = ["COMPARISON", "SCHEDULERS", "SENSINGS", "Cell", "Comparison", "cells", "compare", "load"]
+
+COMPARISON = "comparison.json"
+
+SENSINGS: dict[str, SensingConfig] = {
+    "global": SensingConfig(kind="global", rotation=True, reflection=True),
+    "visible": SensingConfig(kind="visible", rotation=True, reflection=True),
+}
+"""What robots perceive, by name; none agrees with another on directions or handedness."""
+
+SCHEDULERS: dict[str, SchedulerConfig] = {
+    "fsync": SchedulerConfig(),
+    "ssync": SchedulerConfig(kind="ssync"),
+    "adversarial": SchedulerConfig(kind="ssync", adversarial=True, rigid=False),
+    "async": SchedulerConfig(kind="async"),
+    "async-nonrigid": SchedulerConfig(kind="async", rigid=False),
+}
+"""When robots move, by name."""
+
+WORST = 3
+"""Failures kept of each cell, to be drawn."""
+
+ROOM = 2**18
+"""Pairs of robots in one batch of episodes, at most."""
+
+_HELD_OUT = 2**31 + 1
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One comparison.
+
+    Attributes:
+        method: Name of a run, or of a baseline.
+        sensing: A name of `SENSINGS`.
+        scheduler: A name of `SCHEDULERS`.
+        robots: Swarm size.
+    """
+
+    method: str
+    sensing: str
+    scheduler: str
+    robots: int
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What is compared, and from which starts.
+
+    Attributes:
+        base: The world, grown to each swarm size, the objective and the rule of rest.
+        episodes: Random starts for each cell; the same for every method.
+        seed: Their seed; no training ever began at them.
+    """
+
+    base: ExperimentConfig
+    episodes: int = 1000
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        check_number("episodes", self.episodes, 1, MAX_EPISODES, integer=True)
+        check_seed(self.seed)
+
+    def problem(self, cell: Cell) -> ExperimentConfig:
+        """Returns the experiment of one cell: its world, eyes and scheduler."""
+        frames = SENSINGS[cell.sensing]
+        if cell.method in BASELINES and BASELINES[cell.method].centralised:
+            # A central mind has one frame; with it come all positions.
+            frames = SensingConfig(kind="global")
+        policy = replace(self.base.policy, kind="local", credit="robots")
+        problem = replace(self.base, policy=policy, sensing=frames, scheduler=SCHEDULERS[cell.scheduler], sizes=())
+        return problem.of_size(cell.robots)
+
+
+def cells(
+    methods: Sequence[str],
+    sensings: Sequence[str],
+    schedulers: Sequence[str],
+    sizes: Sequence[int],
+    known: Sequence[str] = (),
+) -> list[Cell]:
+    """Returns all cells of a comparison, in the order of its table.
+
+    Args:
+        methods: Names of methods.
+        sensings: Names of `SENSINGS`.
+        schedulers: Names of `SCHEDULERS`.
+        sizes: Swarm sizes.
+        known: The methods that there are.
+
+    Raises:
+        InputError: A name is unknown; the message lists the known ones.
+    """
+    choices = (("method", methods, known), ("sensing", sensings, SENSINGS), ("scheduler", schedulers, SCHEDULERS))
+    for field, names, there in choices:
+        for name in names:
+            check_choice(field, name, tuple(there))
+    for robots in sizes:
+        check_number("robots", robots, 2, 1000, integer=True)
+    return [Cell(m, s, k, n) for s in sensings for k in schedulers for n in sizes for m in methods]
+
+
+def compare(
+    comparison: Comparison,
+    wanted: Sequence[Cell],
+    runs: Mapping[str, Mapping[str, Run]],
+    folder: str | Path,
+    on_progress: Callable[..., None] | None = None,
+) -> list[dict[str, Any]]:
+    """Runs every cell that the folder does not hold already, and keeps each there as soon as it is done.
+
+    Args:
+        comparison: What is compared.
+        wanted: The cells.
+        runs: Learned methods by sensing and name; the other names are baselines'.
+        folder: Where comparison.json is, or will be.
+        on_progress: Called as `on_progress(work, done, total, **values)` after each cell.
+
+    Returns:
+        The rows of the table, one a cell.
+
+    Raises:
+        RunError: The folder holds another comparison, or cannot be written to.
+    """
+    path = Path(folder) / COMPARISON
+    settings = _settings(comparison, runs)
+    done = _there(path, settings) if path.exists() else {}
+    storage.make_folder(Path(folder))
+    for place, cell in enumerate(wanted):
+        if cell not in done:
+            done[cell] = _row(comparison, cell, _policy(comparison, cell, runs[cell.sensing]))
+            storage.write_json(path, {**settings, "rows": list(done.values())})
+        if on_progress is not None:
+            name = f"{cell.method}, {cell.sensing}, {cell.scheduler}, N = {cell.robots}"
+            share = done[cell]["valid"] / done[cell]["episodes"]
+            on_progress("comparison", place + 1, len(wanted), valid=share, note=name)
+    return [done[cell] for cell in wanted]
+
+
+def load(folder: str | Path) -> dict[str, Any]:
+    """Reads a comparison.
+
+    Raises:
+        RunError: It is missing or damaged.
+    """
+    found = storage.read_json(Path(folder) / COMPARISON)
+    if not isinstance(found, dict) or not isinstance(found.get("rows"), list):
+        raise RunError(f"{Path(folder) / COMPARISON} is not a comparison")
+    return found
+
+
+def _settings(comparison: Comparison, runs: Mapping[str, Mapping[str, Run]]) -> dict[str, Any]:
+    world = {name: value for name, value in asdict(comparison.base.world).items() if name != "collision_penalty"}
+    return {
+        "objective": comparison.base.objective,
+        "world": world,
+        "rest": asdict(comparison.base.rest),
+        "episodes": comparison.episodes,
+        "seed": comparison.seed,
+        "sensings": {name: asdict(config) for name, config in SENSINGS.items()},
+        "schedulers": {name: asdict(config) for name, config in SCHEDULERS.items()},
+        "weights": {f"{name}, {eyes}": _identity(run) for eyes, own in runs.items() for name, run in own.items()},
+    }
+
+
+def _identity(run: Run) -> str:
+    return hashlib.sha256(storage.to_json(run.manifest.get("checksums", {})).encode()).hexdigest()[:16]
+
+
+def _there(path: Path, settings: Mapping[str, Any]) -> dict[Cell, dict[str, Any]]:
+    """Reads the cells that are done, if they are of the same comparison."""
+    found = load(path.parent)
+    for name, value in settings.items():
+        # Names that only one of the two has do no harm: their cells are told apart.
+        there = found.get(name)
+        same = there == value
+        if name == "weights" and isinstance(there, dict):
+            same = all(there.get(key, one) == one for key, one in value.items())
+        if not same:
+            what = f"{name} is {there!r} there, {value!r} here"
+            raise RunError(f"{path} holds another comparison: {what}; choose another folder")
+    return {Cell(row["method"], row["sensing"], row["scheduler"], row["robots"]): row for row in found["rows"]}
+
+
+def _policy(comparison: Comparison, cell: Cell, runs: Mapping[str, Run]) -> Any:
+    if cell.method in runs:
+        return runs[cell.method].cascade.policies
+    world = comparison.problem(cell).world
+    sizes = Sizes(
+        robots=world.robots,
+        half_width=world.half_width,
+        half_height=world.half_height,
+        radius=world.radius,
+        safe_distance=world.safe_distance,
+        max_speed=world.max_speed,
+        landmark=comparison.base.objective == "C1",
+    )
+    return (BASELINES[cell.method](sizes),)
+
+
+def _row(comparison: Comparison, cell: Cell, policies: Any) -> dict[str, Any]:
+    """Runs one cell."""
+    problem = comparison.problem(cell)
+    parts = [_judged(problem, ran) for ran in _rollouts(comparison, problem, policies)]
+    joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    valid, count = joined["valid"], len(joined["valid"])
+    known = best_known(Target(problem.world, problem.objective))
+    bad = np.flatnonzero(~valid)
+    worst = bad[np.argsort(joined["visible"][bad] + 2.0 * joined["free"][bad], kind="stable")][:WORST]
+
+    def mean(name: str) -> float | None:
+        return float(joined[name][valid].mean()) if valid.any() else None
+
+    value = mean("objective")
+    return {
+        **asdict(cell),
+        "episodes": count,
+        "valid": int(valid.sum()),
+        "interval": list(wilson(int(valid.sum()), count)),
+        "collisions": int((~joined["free"] & ~joined["left"]).sum()),
+        "left": int(joined["left"].sum()),
+        "hidden": int((joined["free"] & ~joined["seen"]).sum()),
+        "unsafe": int((joined["free"] & ~joined["safe"]).sum()),
+        "restless": int((joined["free"] & ~joined["rest"]).sum()),
+        "steps": mean("steps"),
+        "epochs": mean("epochs"),
+        "efficiency": mean("efficiency"),
+        "gap": None if known is None or value is None else known - value,
+        "worst": [{"positions": joined["final"][i].round(3).tolist(), "free": bool(joined["free"][i])} for i in worst],
+    }
+
+
+def _rollouts(comparison: Comparison, problem: ExperimentConfig, policies: Any) -> Iterator[Trajectories]:
+    """Executes a method from all starts, so many at a time as memory holds; every method from the same."""
+    discovery = Discovery(problem)
+    cascade = discovery.cascade(policies)
+    size = min(max(ROOM // problem.world.robots**2, 8), comparison.episodes)
+    key = jax.random.fold_in(jax.random.fold_in(jax.random.key(comparison.seed), _HELD_OUT), problem.world.robots)
+    for first in range(0, comparison.episodes, size):
+        starts = draw_starts(discovery.world.start, jax.random.fold_in(key, first), size)
+        ran = cascade.rollout(starts, seed=first)
+        yield _first(ran, comparison.episodes - first)
+
+
+def _first(ran: Trajectories, count: int) -> Trajectories:
+    """Returns the first episodes."""
+    return Trajectories(
+        **{name: value[:count] for name, value in vars(ran).items() if name != "signals"},
+        signals={name: value[:count] for name, value in ran.signals.items()},
+    )
+
+
+def _judged(problem: ExperimentConfig, ran: Trajectories) -> dict[str, np.ndarray]:
+    """Measures every episode."""
+    verdict, world = judge(ran, problem.world), problem.world
+    bound = np.array([bound_steps(a, b, world.max_speed) for a, b in zip(ran.positions[:, 0], ran.final, strict=True)])
+    return {
+        "valid": verdict.valid,
+        "free": verdict.collision_free,
+        "left": _left(ran.final, world),
+        "seen": verdict.mutually_visible,
+        "safe": verdict.safe,
+        "rest": verdict.at_rest,
+        "visible": _share_visible(ran.final, world),
+        "steps": ran.lengths,
+        "epochs": ran.epochs,
+        "efficiency": bound / np.maximum(ran.lengths, 1),
+        "objective": np.sum([values[:, -1] for values in ran.signals.values()], axis=0),
+        "final": ran.final,
+    }
+
+
+def _left(final: Float[np.ndarray, "episodes robots 2"], world: WorldConfig) -> np.ndarray:
+    bounds = np.array([world.half_width, world.half_height], np.float32)
+    return np.asarray((np.abs(final) > bounds).any(axis=(1, 2)))
+
+
+def _share_visible(final: Float[np.ndarray, "episodes robots 2"], world: WorldConfig) -> np.ndarray:
+    _, seen = neighbors_and_visible(np.moveaxis(final, 0, -1), world.radius, world.scan_radius)
+    return seen.sum(axis=(0, 1)) / (world.robots * (world.robots - 1))
