@@ -17,7 +17,7 @@ import numpy as np
 import murmurate
 from murmurate import view
 from murmurate.discovery import bound_steps, judge
-from murmurate.experiments import tables
+from murmurate.experiments import standings, tables
 from murmurate.experiments.config import check_same
 from murmurate.experiments.evaluation import EPISODES
 from murmurate.experiments.paper import EXPERIMENTS
@@ -79,7 +79,10 @@ def write(runs: list[Path], out: Path) -> None:
         others=tables.as_markdown(("", *OTHER_STARTS), others),
         commands="`make results`",
     )
-    (out / "results.md").write_text(page, encoding="utf-8")
+    path = out / "results.md"
+    # What `murmurate compare --into` put there stays.
+    compared = standings.kept(path.read_text("utf-8")) if path.exists() else ""
+    path.write_text(f"{page}\n{compared}" if compared else page, encoding="utf-8")
 
 
 def machine(run: Path) -> str:

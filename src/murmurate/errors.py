@@ -8,7 +8,17 @@ import math
 from collections.abc import Iterable, Sequence
 from numbers import Integral, Real
 
-__all__ = ["GREATEST", "MOST", "InputError", "RunError", "UsageError", "check_choice", "check_number", "suggestion"]
+__all__ = [
+    "GREATEST",
+    "MOST",
+    "BeyondTrainingWarning",
+    "InputError",
+    "RunError",
+    "UsageError",
+    "check_choice",
+    "check_number",
+    "suggestion",
+]
 
 
 def _one_line(text: str) -> str:
@@ -43,6 +53,10 @@ class UsageError(Exception):
 
     def __init__(self, message: str) -> None:
         super().__init__(_one_line(message))
+
+
+class BeyondTrainingWarning(UserWarning):
+    """Policies are executed where they were not trained: allowed, but they may do worse."""
 
 
 GREATEST = 1e9

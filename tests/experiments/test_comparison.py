@@ -21,12 +21,12 @@ NAMES = ["learned", "circle", "random", "circle-central"]
 def runs(tmp_path_factory):
     config = tiny(**LOCAL, discovery={"min_policies": 1, "max_policies": 1})
     made = training.discover(config, tmp_path_factory.mktemp("comparison") / "run")
-    return {eyes: {"learned": made} for eyes in comparison.SENSINGS}
+    return {"learned": made}
 
 
 @pytest.fixture(scope="module")
 def setting(runs):
-    base = runs["visible"]["learned"].experiment
+    base = runs["learned"].experiment
     return Comparison(replace(base, rest=replace(base.rest, max_steps=60, tolerance=1e-3)), episodes=20)
 
 
@@ -39,7 +39,7 @@ def done(runs, setting, tmp_path_factory):
 
 def test_a_row_adds_up(done):
     _, wanted, rows = done
-    assert [Cell(r["method"], r["sensing"], r["scheduler"], r["robots"]) for r in rows] == wanted
+    assert [Cell(*(r[n] for n in Cell.__dataclass_fields__)) for r in rows] == wanted
     for row in rows:
         failures = [row[name] for name in ("collisions", "left", "hidden", "unsafe", "restless")]
         assert max(failures) <= row["episodes"] - row["valid"] <= sum(failures)
@@ -90,6 +90,19 @@ def test_another_comparison_is_not_mixed_in(done, setting, runs):
     folder, wanted, _ = done
     with pytest.raises(RunError, match="holds another comparison: seed is 0 there, 1 here; choose another folder"):
         compare(replace(setting, seed=1), wanted, runs, folder)
+
+
+def test_symmetric_starts_are_cells_of_their_own(setting):
+    wanted = cells(["circle"], ["visible"], ["fsync"], [3, 5], ["rings", "line"], ["circle"])
+    assert [(cell.start, cell.robots) for cell in wanted] == [("rings", 5), ("line", 3), ("line", 5)]
+    cell = wanted[1]
+    problem = setting.problem(cell)
+    ran = next(comparison._rollouts(setting, problem, comparison._policy(setting, cell, {}), cell.start))
+    first = ran.positions[:, 0].astype(float)
+    along = first[:, 2] - first[:, 0]
+    across = first[:, 1] - (first[:, 0] + first[:, 2]) / 2
+    assert np.linalg.norm(along, axis=1).min() > 0.1
+    assert np.abs(across).max() < 1e-5
 
 
 def test_a_central_mind_has_one_frame_and_others_have_their_own(setting):

@@ -9,7 +9,7 @@ import pytest
 from test_training import StoppedError, stop_after
 
 from murmurate.discovery import Discovery
-from murmurate.errors import InputError
+from murmurate.errors import BeyondTrainingWarning, InputError
 from murmurate.experiments import presets, training
 from murmurate.world import WorldConfig, grown
 from tiny import tiny
@@ -75,16 +75,17 @@ def test_resuming_ends_in_the_same_bytes(run, tmp_path):
 
 
 def test_a_run_is_executed_in_a_swarm_of_any_size(run):
-    large = run.of_size(9)
+    with pytest.warns(BeyondTrainingWarning, match="robots = 9: trained were swarms of 3 to 6"):
+        large = run.of_size(9)
     assert large.experiment.world == grown(run.experiment.world, 9)
     assert large.rollout(3).positions.shape[2:] == (9, 2)
     assert run.of_size(3) is run
-    far = run.of_size(64).experiment
+    far = run.experiment.of_size(64)
     factor = far.world.half_width / run.experiment.world.half_width
     assert far.rest.max_steps == pytest.approx(run.experiment.rest.max_steps * factor, abs=1)
     assert far.rest.tolerance == pytest.approx(run.experiment.rest.tolerance / factor)
     # In a smaller world there is as much time as ever.
-    assert run.of_size(2).experiment.rest == run.experiment.rest
+    assert run.experiment.of_size(2).rest == run.experiment.rest
 
 
 def test_the_policy_central_is_of_one_size(tmp_path):
@@ -116,3 +117,13 @@ def test_sizes_that_one_policy_cannot_serve_are_refused(overlay, line):
     with pytest.raises(InputError) as caught:
         presets.resolve("F", ANY, overlay)
     assert str(caught.value).startswith(line)
+
+
+def test_a_margin_makes_robots_larger_while_they_learn_and_nowhere_else():
+    config = tiny(**{**ANY, "sizes": [], "base": {"margin": 0.25}})
+    discovery = Discovery(config)
+    env = discovery._environment(0, discovery.begin())
+    trained, sizes = env.env.env, config.world
+    assert (float(trained.radius), float(trained.safe_distance)) == (1.25 * sizes.radius, 1.25 * sizes.safe_distance)
+    for world in (env.world, discovery.world, discovery.cascade(()).world.world):
+        assert (float(world.radius), float(world.safe_distance)) == (sizes.radius, sizes.safe_distance)

@@ -26,12 +26,13 @@ def run(argv: Sequence[str]) -> int:
         "Runs methods from the same random starts, with the same eyes and schedulers; writes a table and two figures."
     )
     parser = Parser("compare", "[RUN...]", text)
-    what = "finished runs of policies local or equivariant (default: the package's weights, called learned)"
+    what = "finished runs of the policy local (default: the package's weights, called learned)"
     parser.add_argument("runs", metavar="RUN", nargs="*", help=what)
     parser.add_argument("--methods", metavar="A,B", help="which of the runs, by name, and baselines (default: all)")
     parser.add_argument("--robots", metavar="N,N", default="4,8,12,16", help="swarm sizes (default: 4,8,12,16)")
     parser.add_argument("--sensing", metavar="A,B", default="visible", help="what robots perceive (default: visible)")
     parser.add_argument("--schedulers", metavar="A,B", default="fsync", help="when they move (default: fsync)")
+    parser.add_argument("--starts", metavar="A,B", default="random", help="random, polygon, line, grid, rings")
     parser.add_argument("--objective", metavar="C1|C2", default="C2", help="of the package's weights (default: C2)")
     parser.add_argument(
         "--episodes", type=int, metavar="INT", default=1000, help="starts for each cell (default: 1000)"
@@ -54,13 +55,13 @@ def _compare(options: Namespace, command: str) -> int:
 
     sizes = [_whole(word) for word in _words(options.robots, "--robots")]
     sensings, schedulers = _words(options.sensing, "--sensing"), _words(options.schedulers, "--schedulers")
-    comparison.cells([], sensings, schedulers, sizes)
-    runs = _runs(options, sensings)
-    names = [*dict.fromkeys(name for of_eyes in runs.values() for name in of_eyes), *BASELINES]
+    starts = _words(options.starts, "--starts")
+    comparison.cells([], sensings, schedulers, sizes, starts)
+    runs = _runs(options)
+    names = [*runs, *BASELINES]
     methods = names if options.methods is None else _words(options.methods, "--methods")
-    wanted = comparison.cells(methods, sensings, schedulers, sizes, known=names)
-    found: list[dict[str, Any]] = []
-    base = next(iter(next(iter(runs.values())).values())).experiment
+    wanted = comparison.cells(methods, sensings, schedulers, sizes, starts, names)
+    base = next(iter(runs.values())).experiment
     setting = comparison.Comparison(base, options.episodes, options.seed)
     with Progress() as progress:
         found = comparison.compare(setting, wanted, runs, options.out, progress.update)
@@ -68,23 +69,24 @@ def _compare(options: Namespace, command: str) -> int:
     return 0
 
 
-def _runs(options: Namespace, sensings: Sequence[str]) -> dict[str, dict[str, Run]]:
-    """Returns the learned methods by what they perceive: given runs serve all eyes, the package's each their own."""
+def _runs(options: Namespace) -> dict[str, Run]:
+    """Returns the learned methods by name."""
     from murmurate.experiments.run import Run
     from murmurate.experiments.weights import pretrained
 
     if not options.runs:
-        return {eyes: {LEARNED: pretrained(options.objective, eyes)} for eyes in sensings}
+        return {LEARNED: pretrained(options.objective)}
     given: dict[str, Run] = {}
     for word in options.runs:
         opened = Run.open(word)
-        if opened.experiment.policy.kind == "central":
-            raise InputError("policy.kind", "central", f"equivariant or local, to be compared: {word} is of one size")
+        kind = opened.experiment.policy.kind
+        if kind != "local":
+            raise InputError("policy.kind", kind, f"local, to be compared by what its robots perceive: {word} is not")
         name = Path(word).name
         if name in given:
             raise InputError("RUN", word, f"of another name than the others: {name} is there already")
         given[name] = opened
-    return dict.fromkeys(sensings, given)
+    return given
 
 
 def _write(options: Namespace, command: str, found: list[dict[str, Any]], setting: Any) -> None:
@@ -111,7 +113,7 @@ def _write(options: Namespace, command: str, found: list[dict[str, Any]], settin
         storage.write_text(page, standings.put_into(page.read_text("utf-8"), part))
     for row in found:
         low, high = (100 * share for share in row["interval"])
-        cell = f"{row['method']}, {row['sensing']}, {row['scheduler']}, N = {row['robots']}"
+        cell = f"{row['method']}, {row['sensing']}, {row['scheduler']}, {row['start']}, N = {row['robots']}"
         valid = f"{row['valid']} of {row['episodes']} valid ({low:.1f}-{high:.1f}%)"
         print(f"{cell}: {valid}, {row['collisions']} collided, {row['left']} left the world")
     print(f"table: {out / 'comparison.md'}")

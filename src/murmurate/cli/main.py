@@ -8,10 +8,12 @@ from __future__ import annotations
 import importlib
 import os
 import sys
+import warnings
 from collections.abc import Sequence
+from typing import Any
 
 from murmurate import __version__
-from murmurate.errors import InputError, RunError, UsageError, suggestion
+from murmurate.errors import BeyondTrainingWarning, InputError, RunError, UsageError, suggestion
 
 __all__ = ["main"]
 
@@ -74,7 +76,15 @@ def _run(words: list[str]) -> int:
         what = "flag" if verb.startswith("-") else "verb"
         known = ["--help", "--version"] if verb.startswith("-") else list(VERBS)
         raise UsageError(f"unknown {what} {verb}{suggestion(verb, known)} (see murmurate --help)")
-    return importlib.import_module(f"murmurate.cli.{verb}").run(words[1:])
+    with warnings.catch_warnings():
+        warnings.simplefilter("once", BeyondTrainingWarning)
+        warnings.showwarning = _warn
+        return importlib.import_module(f"murmurate.cli.{verb}").run(words[1:])
+
+
+def _warn(message: Warning | str, *_: Any, **__: Any) -> None:
+    """Shows a warning as one line."""
+    print(f"murmurate: warning: {message}", file=sys.stderr)
 
 
 def _help() -> str:

@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast, get_args
 
 import jax
 import numpy as np
@@ -23,7 +23,7 @@ from murmurate.geometry import neighbors_and_visible
 from murmurate.patterns.best_known import best_known
 from murmurate.patterns.formation import Target
 from murmurate.policies import Sizes
-from murmurate.world import SchedulerConfig, SensingConfig, WorldConfig, draw_starts
+from murmurate.world import Family, SchedulerConfig, SensingConfig, WorldConfig, draw_starts, symmetric_starts
 
 __all__ = ["COMPARISON", "SCHEDULERS", "SENSINGS", "Cell", "Comparison", "cells", "compare", "load"]
 
@@ -44,6 +44,8 @@ SCHEDULERS: dict[str, SchedulerConfig] = {
 }
 """When robots move, by name."""
 
+RANDOM = "random"
+
 WORST = 3
 """Failures kept of each cell, to be drawn."""
 
@@ -62,12 +64,14 @@ class Cell:
         sensing: A name of `SENSINGS`.
         scheduler: A name of `SCHEDULERS`.
         robots: Swarm size.
+        start: random, or a family of exactly symmetric starts.
     """
 
     method: str
     sensing: str
     scheduler: str
     robots: int
+    start: str = "random"
 
 
 @dataclass(frozen=True)
@@ -104,6 +108,7 @@ def cells(
     sensings: Sequence[str],
     schedulers: Sequence[str],
     sizes: Sequence[int],
+    starts: Sequence[str] = (RANDOM,),
     known: Sequence[str] = (),
 ) -> list[Cell]:
     """Returns all cells of a comparison, in the order of its table.
@@ -113,24 +118,38 @@ def cells(
         sensings: Names of `SENSINGS`.
         schedulers: Names of `SCHEDULERS`.
         sizes: Swarm sizes.
+        starts: random, and families of symmetric starts; swarms too small for one are left out there.
         known: The methods that there are.
 
     Raises:
         InputError: A name is unknown; the message lists the known ones.
     """
-    choices = (("method", methods, known), ("sensing", sensings, SENSINGS), ("scheduler", schedulers, SCHEDULERS))
+    choices = (
+        ("method", methods, known),
+        ("sensing", sensings, SENSINGS),
+        ("scheduler", schedulers, SCHEDULERS),
+        ("start", starts, (RANDOM, *get_args(Family))),
+    )
     for field, names, there in choices:
         for name in names:
             check_choice(field, name, tuple(there))
     for robots in sizes:
         check_number("robots", robots, 2, 1000, integer=True)
-    return [Cell(m, s, k, n) for s in sensings for k in schedulers for n in sizes for m in methods]
+    return [
+        Cell(method, eyes, scheduler, robots, start)
+        for start in starts
+        for eyes in sensings
+        for scheduler in schedulers
+        for robots in sizes
+        for method in methods
+        if start != "rings" or robots >= 4
+    ]
 
 
 def compare(
     comparison: Comparison,
     wanted: Sequence[Cell],
-    runs: Mapping[str, Mapping[str, Run]],
+    runs: Mapping[str, Run],
     folder: str | Path,
     on_progress: Callable[..., None] | None = None,
 ) -> list[dict[str, Any]]:
@@ -139,7 +158,7 @@ def compare(
     Args:
         comparison: What is compared.
         wanted: The cells.
-        runs: Learned methods by sensing and name; the other names are baselines'.
+        runs: Learned methods by name; the other names are baselines'.
         folder: Where comparison.json is, or will be.
         on_progress: Called as `on_progress(work, done, total, **values)` after each cell.
 
@@ -155,10 +174,10 @@ def compare(
     storage.make_folder(Path(folder))
     for place, cell in enumerate(wanted):
         if cell not in done:
-            done[cell] = _row(comparison, cell, _policy(comparison, cell, runs[cell.sensing]))
+            done[cell] = _row(comparison, cell, _policy(comparison, cell, runs))
             storage.write_json(path, {**settings, "rows": list(done.values())})
         if on_progress is not None:
-            name = f"{cell.method}, {cell.sensing}, {cell.scheduler}, N = {cell.robots}"
+            name = f"{cell.method}, {cell.sensing}, {cell.scheduler}, {cell.start}, N = {cell.robots}"
             share = done[cell]["valid"] / done[cell]["episodes"]
             on_progress("comparison", place + 1, len(wanted), valid=share, note=name)
     return [done[cell] for cell in wanted]
@@ -176,7 +195,7 @@ def load(folder: str | Path) -> dict[str, Any]:
     return found
 
 
-def _settings(comparison: Comparison, runs: Mapping[str, Mapping[str, Run]]) -> dict[str, Any]:
+def _settings(comparison: Comparison, runs: Mapping[str, Run]) -> dict[str, Any]:
     world = {name: value for name, value in asdict(comparison.base.world).items() if name != "collision_penalty"}
     return {
         "objective": comparison.base.objective,
@@ -186,7 +205,7 @@ def _settings(comparison: Comparison, runs: Mapping[str, Mapping[str, Run]]) -> 
         "seed": comparison.seed,
         "sensings": {name: asdict(config) for name, config in SENSINGS.items()},
         "schedulers": {name: asdict(config) for name, config in SCHEDULERS.items()},
-        "weights": {f"{name}, {eyes}": _identity(run) for eyes, own in runs.items() for name, run in own.items()},
+        "weights": {name: _identity(run) for name, run in runs.items()},
     }
 
 
@@ -206,11 +225,12 @@ def _there(path: Path, settings: Mapping[str, Any]) -> dict[Cell, dict[str, Any]
         if not same:
             what = f"{name} is {there!r} there, {value!r} here"
             raise RunError(f"{path} holds another comparison: {what}; choose another folder")
-    return {Cell(row["method"], row["sensing"], row["scheduler"], row["robots"]): row for row in found["rows"]}
+    return {Cell(*(row[name] for name in Cell.__dataclass_fields__)): row for row in found["rows"]}
 
 
 def _policy(comparison: Comparison, cell: Cell, runs: Mapping[str, Run]) -> Any:
     if cell.method in runs:
+        runs[cell.method].warn_of_size(cell.robots)
         return runs[cell.method].cascade.policies
     world = comparison.problem(cell).world
     sizes = Sizes(
@@ -228,7 +248,7 @@ def _policy(comparison: Comparison, cell: Cell, runs: Mapping[str, Run]) -> Any:
 def _row(comparison: Comparison, cell: Cell, policies: Any) -> dict[str, Any]:
     """Runs one cell."""
     problem = comparison.problem(cell)
-    parts = [_judged(problem, ran) for ran in _rollouts(comparison, problem, policies)]
+    parts = [_judged(problem, ran) for ran in _rollouts(comparison, problem, policies, cell.start)]
     joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     valid, count = joined["valid"], len(joined["valid"])
     known = best_known(Target(problem.world, problem.objective))
@@ -257,14 +277,19 @@ def _row(comparison: Comparison, cell: Cell, policies: Any) -> dict[str, Any]:
     }
 
 
-def _rollouts(comparison: Comparison, problem: ExperimentConfig, policies: Any) -> Iterator[Trajectories]:
+def _rollouts(
+    comparison: Comparison, problem: ExperimentConfig, policies: Any, start: str = RANDOM
+) -> Iterator[Trajectories]:
     """Executes a method from all starts, so many at a time as memory holds; every method from the same."""
     discovery = Discovery(problem)
     cascade = discovery.cascade(policies)
     size = min(max(ROOM // problem.world.robots**2, 8), comparison.episodes)
     key = jax.random.fold_in(jax.random.fold_in(jax.random.key(comparison.seed), _HELD_OUT), problem.world.robots)
     for first in range(0, comparison.episodes, size):
-        starts = draw_starts(discovery.world.start, jax.random.fold_in(key, first), size)
+        if start == RANDOM:
+            starts = draw_starts(discovery.world.start, jax.random.fold_in(key, first), size)
+        else:
+            starts = symmetric_starts(cast(Any, start), problem.world, size, seed=comparison.seed + first)
         ran = cascade.rollout(starts, seed=first)
         yield _first(ran, comparison.episodes - first)
 

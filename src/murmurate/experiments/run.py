@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from murmurate.discovery import Cascade, Discovery, Trajectories, policy_name
-from murmurate.errors import InputError, RunError, check_number
+from murmurate.errors import BeyondTrainingWarning, InputError, RunError, check_number
 from murmurate.experiments import config as configuration
 from murmurate.experiments import storage, trees
 from murmurate.experiments.checkpoint import policy_templates
@@ -83,7 +83,7 @@ class Run:
         Raises:
             InputError: The policies are for one size only, or there are too few or too many robots.
         """
-        own, sizes = self.experiment.world.robots, self.experiment.sizes
+        own = self.experiment.world.robots
         if robots == own:
             return self
         if self.experiment.policy.kind == "central":
@@ -91,10 +91,15 @@ class Run:
         if self.experiment.start.kind == "file":
             raise InputError("robots", robots, f"{own}, as in the run's file of starts")
         changed = self.under(self.experiment.of_size(robots))
+        self.warn_of_size(robots)
+        return changed
+
+    def warn_of_size(self, robots: int) -> None:
+        """Warns of a swarm size beyond those that the policies were trained among."""
+        sizes = self.experiment.sizes
         if sizes and not min(sizes) <= robots <= max(sizes):
             text = f"robots = {robots}: trained were swarms of {min(sizes)} to {max(sizes)}; others may do worse"
-            warnings.warn(text, stacklevel=2)
-        return changed
+            warnings.warn(text, BeyondTrainingWarning, stacklevel=3)
 
     def under(self, experiment: ExperimentConfig) -> Run:
         """Returns the run with its policies in another world, with other eyes or under another scheduler.

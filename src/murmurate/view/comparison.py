@@ -40,7 +40,7 @@ def comparison_figure(rows: Sequence[Row]) -> Figure:
         InputError: There is no row.
     """
     _check(rows)
-    panels = list(dict.fromkeys((row["sensing"], row["scheduler"]) for row in rows))
+    panels = list(dict.fromkeys(_panel(row) for row in rows))
     methods = list(dict.fromkeys(row["method"] for row in rows))
     across = min(_ACROSS, len(panels))
     down = math.ceil(len(panels) / across)
@@ -52,12 +52,12 @@ def comparison_figure(rows: Sequence[Row]) -> Figure:
         figure, "Valid patterns by method", f"{count} random starts a point, the same for all; 95% Wilson intervals"
     )
     wide = (10 - 2 * LEFT - 0.45 * across) / across - 0.15
-    for place, (sensing, scheduler) in enumerate(panels):
+    for place, panel in enumerate(panels):
         row, column = divmod(place, across)
         left = LEFT + 0.45 + column * (wide + 0.6)
         ax = add_axes(figure, left, 0.55 + (down - 1 - row) * (_HIGH + 0.75), wide, _HIGH)
-        style_axes(ax, f"{sensing} sight, {scheduler}", "robots", "valid, %" if column == 0 else "", pad=6)
-        _draw_panel(ax, [one for one in rows if (one["sensing"], one["scheduler"]) == (sensing, scheduler)], methods)
+        style_axes(ax, panel, "robots", "valid, %" if column == 0 else "", pad=6)
+        _draw_panel(ax, [one for one in rows if _panel(one) == panel], methods)
     keys = [_key(place, method) for place, method in enumerate(methods)]
     figure.legend(
         handles=keys, loc="lower center", ncols=len(keys), fontsize=TEXT, frameon=False, bbox_to_anchor=(0.5, 0.0)
@@ -92,8 +92,14 @@ def failures_figure(rows: Sequence[Row], radius: float, scan_radius: Mapping[int
         line, column = divmod(place, across)
         ax = add_axes(figure, LEFT + column * (side + 0.2), 0.1 + (down - 1 - line) * (side + 0.55), side, side)
         _draw_failure(ax, np.array(one["positions"], float), radius, scan_radius[row["robots"]], one["free"])
-        ax.set_title(f"{row['sensing']}, {row['scheduler']}, N = {row['robots']}", fontsize=TEXT, color=INK, pad=4)
+        ax.set_title(f"{row['method']}, N = {row['robots']}", fontsize=TEXT, color=INK, pad=14)
+        ax.text(0.5, 1.02, _panel(row), transform=ax.transAxes, ha="center", fontsize=TEXT - 1.5, color=MUTED)
     return figure
+
+
+def _panel(row: Row) -> str:
+    start = "" if row["start"] == "random" else f", {row['start']}"
+    return f"{row['sensing']} sight, {row['scheduler']}{start}"
 
 
 def _check(rows: Sequence[Row]) -> None:

@@ -17,11 +17,13 @@ from murmurate.world.starts import (
     make_start,
     read_starts,
 )
+from murmurate.world.symmetric import Family, family, symmetric_starts
 from murmurate.world.world import State, Transition, World
 
 __all__ = [
     "OBJECTIVES",
     "Anywhere",
+    "Family",
     "Frames",
     "Layouts",
     "Mixture",
@@ -47,6 +49,7 @@ __all__ = [
     "draw_frames",
     "draw_starts",
     "epochs_of",
+    "family",
     "grown",
     "layout",
     "make_start",
@@ -54,4 +57,5 @@ __all__ = [
     "read_starts",
     "signal_names",
     "signals",
+    "symmetric_starts",
 ]

@@ -1,0 +1,181 @@
+"""What works at once, without training: the package's weights, shown and compared."""
+
+from __future__ import annotations
+
+import json
+import warnings
+
+import numpy as np
+import pytest
+
+import murmurate
+from murmurate.cli.main import main
+from murmurate.errors import BeyondTrainingWarning, InputError, RunError
+from murmurate.experiments import storage, weights
+
+
+def refused(capsys, words, *parts):
+    assert main([*map(str, words)]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.count("\n") == 1
+    for part in parts:
+        assert part in err
+
+
+def test_the_weights_are_small_and_whole():
+    files = [path for path in weights.FOLDER.rglob("*") if path.is_file()]
+    assert 0 < sum(path.stat().st_size for path in files) <= 1_000_000
+    assert "C2" in weights.available()
+    for objective in weights.available():
+        for sensing in ("visible", "global"):
+            run = murmurate.pretrained(objective, sensing)
+            assert (run.experiment.objective, run.experiment.sensing.kind) == (objective, sensing)
+            assert run.experiment.sensing.rotation
+            assert run.experiment.sensing.reflection
+            assert set(run.experiment.sizes) <= set(range(3, 17))
+
+
+def test_damaged_weights_are_refused(tmp_path, monkeypatch):
+    run = murmurate.pretrained()
+    run.save(tmp_path / "C2")
+    monkeypatch.setattr(weights, "FOLDER", tmp_path)
+    assert weights.available() == ("C2",)
+    file = tmp_path / "C2" / "policies" / "0-base.safetensors"
+    file.write_bytes(file.read_bytes()[:-1] + b"\0")
+    with pytest.raises(RunError, match=r"0-base\.safetensors"):
+        murmurate.pretrained()
+
+
+def test_they_form_patterns_at_once():
+    run = murmurate.pretrained().of_size(6)
+    ran = run.rollout(20, key=3)
+    seen = murmurate.geometry.visible(np.moveaxis(ran.final, 0, -1), 1.0, run.experiment.world.scan_radius)
+    assert seen.sum() / (20 * 6 * 5) > 0.95
+    assert ran.at_rest.sum() >= 18
+
+
+def test_a_scheduler_may_be_chosen():
+    run = murmurate.pretrained(scheduler="async")
+    assert run.experiment.scheduler.kind == "async"
+    assert (run.rollout(4).epochs < run.rollout(4).lengths).all()
+
+
+@pytest.mark.parametrize(
+    ("choice", "line"),
+    [
+        ({"objective": "C3"}, "objective = 'C3': must be one of"),
+        ({"sensing": "radar"}, "sensing = 'radar': must be one of global, visible"),
+        (
+            {"scheduler": "psync"},
+            "scheduler = 'psync': must be one of fsync, ssync, adversarial, async, async-nonrigid",
+        ),
+    ],
+)
+def test_unknown_weights_list_the_known_ones(choice, line):
+    with pytest.raises(InputError) as caught:
+        murmurate.pretrained(**choice)
+    assert str(caught.value).startswith(line)
+
+
+def test_a_size_beyond_training_warns_once_and_goes_on():
+    run = murmurate.pretrained()
+    with pytest.warns(BeyondTrainingWarning, match="robots = 20: trained were swarms of 3 to 16"):
+        larger = run.of_size(20)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert larger.rollout(1).positions.shape[2] == 20
+        run.of_size(9)
+
+
+def test_the_command_line_warns_in_one_line(tmp_path, capsys):
+    words = ["compare", "--methods", "learned", "--robots", "18", "--episodes", "1", "--out", str(tmp_path / "out")]
+    assert main(words) == 0
+    assert (
+        capsys.readouterr().err
+        == "murmurate: warning: robots = 18: trained were swarms of 3 to 16; others may do worse\n"
+    )
+
+
+def test_show_needs_no_run(tmp_path, capsys):
+    out = tmp_path / "shown"
+    assert main(["show", "--robots", "5", "--start", "scattered", "--scheduler", "ssync", "--out", str(out)]) == 0
+    assert "5 robots, 32 starts: " in capsys.readouterr().out
+    assert {"experiment.toml", "manifest.json", "evaluation.json", "figures"} <= {path.name for path in out.iterdir()}
+    assert {path.name for path in (out / "figures").iterdir()} == {"discovery.png", "discovery.gif"}
+    again = murmurate.load(out)
+    assert (again.experiment.world.robots, again.experiment.start.kind) == (5, "scattered")
+    refused(capsys, ["show", "--robots", "5", "--out", out], "holds another run")
+
+
+@pytest.mark.parametrize(
+    ("words", "parts"),
+    [
+        (["--robots", "1"], ["robots = 1: must be an integer >= 2"]),
+        (["--start", "file"], ["start = 'file': must be one of random, scattered, distributed, packed"]),
+        (["--objective", "C1"], ["objective = 'C1': must be one of C2"]),
+        (["--robots", "many"], ["--robots"]),
+    ],
+)
+def test_show_refuses_what_it_cannot_show(words, parts, tmp_path, capsys):
+    refused(capsys, ["show", *words, "--out", tmp_path / "shown"], *parts)
+    assert not (tmp_path / "shown").exists()
+
+
+def test_the_weights_flags_do_not_go_with_a_run(discovered, capsys):
+    refused(capsys, ["show", discovered, "--robots", "5"], "--robots is for the package's weights: give it without RUN")
+
+
+def compared(out, *words):
+    return main(
+        ["compare", "--methods", "learned,random", "--robots", "3,4", "--episodes", "6", "--out", str(out), *words]
+    )
+
+
+def test_compare_writes_a_table_and_figures_and_goes_on(tmp_path, capsys):
+    out, page = tmp_path / "comparison", tmp_path / "results.md"
+    page.write_text("# Results\n")
+    assert compared(out, "--into", str(page)) == 0
+    first = capsys.readouterr().out
+    assert first.count(" of 6 valid (") == 4
+    assert {path.name for path in out.iterdir()} == {
+        "comparison.json",
+        "comparison.md",
+        "comparison.png",
+        "failures.png",
+    }
+    assert "![Valid patterns by method](comparison/comparison.png)" in page.read_text()
+    rows = storage.read_json(out / "comparison.json")["rows"]
+    assert compared(out, "--starts", "random,line", "--into", str(page)) == 0
+    assert capsys.readouterr().out.count(" of 6 valid (") == 8
+    after = storage.read_json(out / "comparison.json")["rows"]
+    assert after[:4] == json.loads(json.dumps(rows))
+    assert page.read_text().count("## Any swarm") == 1
+
+
+@pytest.mark.parametrize(
+    ("words", "parts"),
+    [
+        (["--methods", "orca"], ["method = 'orca': must be one of learned, random, centroid"]),
+        (["--sensing", "radar"], ["sensing = 'radar': must be one of global, visible"]),
+        (["--schedulers", "psync"], ["scheduler = 'psync': must be one of fsync"]),
+        (["--starts", "star"], ["start = 'star': must be one of random, polygon, line, grid, rings"]),
+        (["--robots", "3,,4"], ["--robots = '3,,4': must be names or numbers, separated by commas"]),
+        (["--robots", "1"], ["robots = 1: must be an integer >= 2"]),
+        (["--robots", "-3"], ["--robots = '-3': must be whole numbers"]),
+        (["--episodes", "0"], ["episodes = 0: must be an integer >= 1"]),
+        (["--into", "nowhere.md"], ["--into nowhere.md: there is no such file"]),
+        (["nowhere"], ["nowhere"]),
+    ],
+)
+def test_compare_refuses_what_it_cannot_compare(words, parts, tmp_path, capsys):
+    refused(capsys, ["compare", *words, "--out", tmp_path / "comparison"], *parts)
+    assert not (tmp_path / "comparison").exists()
+
+
+def test_a_policy_without_eyes_is_not_compared(discovered, tmp_path, capsys):
+    refused(
+        capsys,
+        ["compare", discovered, "--out", tmp_path / "c"],
+        "policy.kind = 'central': must be local",
+    )
