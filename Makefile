@@ -43,7 +43,7 @@ pretrained: $(VENV)/.installed  ## trains the weights that come with the package
 	$(BIN)/python -m benchmarks.pretrained
 
 compare: $(VENV)/.installed  ## learned policies and baselines, 1,000 starts a cell (hours); writes into docs/results.md
-	$(BIN)/murmurate compare --robots 3,4,5,6,7,8,9,10,11,12,13,14,15,16,24,32 --out docs/comparison --into docs/results.md
+	$(BIN)/python -m benchmarks.compare
 
 clean:
 	rm -rf $(VENV) build *.egg-info

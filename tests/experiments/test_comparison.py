@@ -105,6 +105,24 @@ def test_symmetric_starts_are_cells_of_their_own(setting):
     assert np.abs(across).max() < 1e-5
 
 
+def test_a_damaged_file_is_refused(done, setting, runs, tmp_path):
+    folder, wanted, _ = done
+    data = json.loads((folder / comparison.COMPARISON).read_text())
+    del data["rows"][0]["robots"]
+    (tmp_path / comparison.COMPARISON).write_text(json.dumps(data))
+    with pytest.raises(RunError, match=r"comparison.json is damaged: a row lacks 'robots'"):
+        compare(setting, wanted, runs, tmp_path)
+
+
+def test_what_made_the_cells_is_noted_once(done, setting, runs):
+    folder, wanted, _ = done
+    for command in ("first", "second", "first"):
+        compare(setting, wanted[:1], runs, folder, command=command)
+    assert comparison.load(folder)["commands"] == ["first", "second"]
+    assert [row["robots"] for row in comparison.sorted_rows(folder)] == [3] * 4 + [5] * 4
+    assert comparison.sorted_rows(folder)[0]["method"] == "learned"
+
+
 def test_a_central_mind_has_one_frame_and_others_have_their_own(setting):
     assert not setting.problem(Cell("circle-central", "visible", "fsync", 5)).sensing.disoriented
     sensing = setting.problem(Cell("circle", "visible", "fsync", 5)).sensing
@@ -126,7 +144,7 @@ def test_unknown_names_list_the_known_ones(field, names):
 
 def test_the_table_goes_into_a_page_once_and_is_kept(done):
     _, _, rows = done
-    part = standings.page(rows, "murmurate compare", ["a note"])
+    part = standings.page(rows, ["murmurate compare"], ["a note"])
     assert part.count("\n| ") == len(rows) + 2
     page = standings.put_into("# Title\n\ntext\n", part)
     again = standings.put_into(page, part.replace("a note", "another"))

@@ -64,8 +64,9 @@ def _compare(options: Namespace, command: str) -> int:
     base = next(iter(runs.values())).experiment
     setting = comparison.Comparison(base, options.episodes, options.seed)
     with Progress() as progress:
-        found = comparison.compare(setting, wanted, runs, options.out, progress.update)
-    _write(options, command, found, setting)
+        found = comparison.compare(setting, wanted, runs, options.out, progress.update, command)
+    _tell(found)
+    _write(options, setting)
     return 0
 
 
@@ -89,35 +90,42 @@ def _runs(options: Namespace) -> dict[str, Run]:
     return given
 
 
-def _write(options: Namespace, command: str, found: list[dict[str, Any]], setting: Any) -> None:
+def _write(options: Namespace, setting: Any) -> None:
+    """Writes the table and the figures of all that the folder holds."""
     from murmurate import view
     from murmurate.baselines import BASELINES
-    from murmurate.experiments import standings, storage
+    from murmurate.experiments import comparison, standings, storage
     from murmurate.world import grown
 
     out = Path(options.out)
+    found, commands = comparison.sorted_rows(out), comparison.load(out).get("commands", [])
     view.save(view.comparison_figure(found), out / "comparison.png")
     pictures = [out / "comparison.png"]
-    if any(row["worst"] for row in found):
+    # Baselines fail in known ways: of interest is where what was learned does.
+    learned = [row for row in found if row["method"] not in BASELINES] or found
+    if any(row["worst"] for row in learned):
         world = setting.base.world
         scans = {row["robots"]: grown(world, row["robots"]).scan_radius for row in found}
-        view.save(view.failures_figure(found, world.radius, scans), out / "failures.png")
+        view.save(view.failures_figure(learned, world.radius, scans), out / "failures.png")
         pictures.append(out / "failures.png")
     shown = {row["method"] for row in found}
     deviations = {name: one.deviations for name, one in BASELINES.items() if name in shown and one.deviations}
     notes = [f"`{name}`: {text}" for name, text in deviations.items()]
-    storage.write_text(out / "comparison.md", standings.page(found, command, notes))
+    storage.write_text(out / "comparison.md", standings.page(found, commands, notes))
     if options.into is not None:
         page = Path(options.into)
-        part = standings.page(found, command, notes, f"{os.path.relpath(out, page.parent)}/")
+        part = standings.page(found, commands, notes, f"{os.path.relpath(out, page.parent)}/")
         storage.write_text(page, standings.put_into(page.read_text("utf-8"), part))
+    print(f"table: {out / 'comparison.md'}")
+    print("pictures: " + ", ".join(map(str, pictures)))
+
+
+def _tell(found: list[dict[str, Any]]) -> None:
     for row in found:
         low, high = (100 * share for share in row["interval"])
         cell = f"{row['method']}, {row['sensing']}, {row['scheduler']}, {row['start']}, N = {row['robots']}"
         valid = f"{row['valid']} of {row['episodes']} valid ({low:.1f}-{high:.1f}%)"
         print(f"{cell}: {valid}, {row['collisions']} collided, {row['left']} left the world")
-    print(f"table: {out / 'comparison.md'}")
-    print("pictures: " + ", ".join(map(str, pictures)))
 
 
 def _words(text: str, flag: str) -> list[str]:

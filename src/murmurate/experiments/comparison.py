@@ -25,7 +25,7 @@ from murmurate.patterns.formation import Target
 from murmurate.policies import Sizes
 from murmurate.world import Family, SchedulerConfig, SensingConfig, WorldConfig, draw_starts, symmetric_starts
 
-__all__ = ["COMPARISON", "SCHEDULERS", "SENSINGS", "Cell", "Comparison", "cells", "compare", "load"]
+__all__ = ["COMPARISON", "SCHEDULERS", "SENSINGS", "Cell", "Comparison", "cells", "compare", "load", "sorted_rows"]
 
 COMPARISON = "comparison.json"
 
@@ -152,6 +152,7 @@ def compare(
     runs: Mapping[str, Run],
     folder: str | Path,
     on_progress: Callable[..., None] | None = None,
+    command: str | None = None,
 ) -> list[dict[str, Any]]:
     """Runs every cell that the folder does not hold already, and keeps each there as soon as it is done.
 
@@ -161,6 +162,7 @@ def compare(
         runs: Learned methods by name; the other names are baselines'.
         folder: Where comparison.json is, or will be.
         on_progress: Called as `on_progress(work, done, total, **values)` after each cell.
+        command: What to note as having made the cells.
 
     Returns:
         The rows of the table, one a cell.
@@ -171,6 +173,9 @@ def compare(
     path = Path(folder) / COMPARISON
     settings = _settings(comparison, runs)
     done = _there(path, settings) if path.exists() else {}
+    before = load(folder) if path.exists() else {}
+    settings["weights"] = {**before.get("weights", {}), **settings["weights"]}
+    settings["commands"] = list(dict.fromkeys([*before.get("commands", []), *([command] if command else [])]))
     storage.make_folder(Path(folder))
     for place, cell in enumerate(wanted):
         if cell not in done:
@@ -180,6 +185,7 @@ def compare(
             name = f"{cell.method}, {cell.sensing}, {cell.scheduler}, {cell.start}, N = {cell.robots}"
             share = done[cell]["valid"] / done[cell]["episodes"]
             on_progress("comparison", place + 1, len(wanted), valid=share, note=name)
+    storage.write_json(path, {**settings, "rows": list(done.values())})
     return [done[cell] for cell in wanted]
 
 
@@ -193,6 +199,22 @@ def load(folder: str | Path) -> dict[str, Any]:
     if not isinstance(found, dict) or not isinstance(found.get("rows"), list):
         raise RunError(f"{Path(folder) / COMPARISON} is not a comparison")
     return found
+
+
+def sorted_rows(folder: str | Path) -> list[dict[str, Any]]:
+    """Returns all cells that a folder holds, in the order of its table: learned methods before baselines.
+
+    Raises:
+        RunError: It is missing or damaged.
+    """
+    places = {name: place for place, name in enumerate(("random", *get_args(Family), *SENSINGS, *SCHEDULERS))}
+    methods = {name: place for place, name in enumerate(BASELINES, start=1)}
+
+    def place(row: dict[str, Any]) -> tuple[Any, ...]:
+        names = (row["start"], row["sensing"], row["scheduler"])
+        return (*(places[name] for name in names), row["robots"], methods.get(row["method"], 0), row["method"])
+
+    return sorted(load(folder)["rows"], key=place)
 
 
 def _settings(comparison: Comparison, runs: Mapping[str, Run]) -> dict[str, Any]:
@@ -225,7 +247,10 @@ def _there(path: Path, settings: Mapping[str, Any]) -> dict[Cell, dict[str, Any]
         if not same:
             what = f"{name} is {there!r} there, {value!r} here"
             raise RunError(f"{path} holds another comparison: {what}; choose another folder")
-    return {Cell(*(row[name] for name in Cell.__dataclass_fields__)): row for row in found["rows"]}
+    try:
+        return {Cell(*(row[name] for name in Cell.__dataclass_fields__)): row for row in found["rows"]}
+    except (KeyError, TypeError) as error:
+        raise RunError(f"{path} is damaged: a row lacks {error}") from None
 
 
 def _policy(comparison: Comparison, cell: Cell, runs: Mapping[str, Run]) -> Any:

@@ -54,12 +54,14 @@ def rows(found: Iterable[Mapping[str, Any]]) -> list[Row]:
     ]
 
 
-def page(found: Sequence[Mapping[str, Any]], command: str, notes: Sequence[str] = (), pictures: str = "") -> str:
+def page(
+    found: Sequence[Mapping[str, Any]], commands: Sequence[str], notes: Sequence[str] = (), pictures: str = ""
+) -> str:
     """Writes what was compared, the table, and the figures.
 
     Args:
         found: Rows of comparison.json.
-        command: What made it.
+        commands: What made it.
         notes: Remarks on methods, one line each.
         pictures: Folder of comparison.png and failures.png, as a prefix of their links.
     """
@@ -67,8 +69,14 @@ def page(found: Sequence[Mapping[str, Any]], command: str, notes: Sequence[str] 
     lines = [
         "## Any swarm, with its own eyes, under any scheduler",
         "",
-        f"Made by `{command}`. Every cell has the same random starts for all methods, none of them seen in",
-        "training, the same speed limit and step budget. Robots have directions and handedness of their own; only",
+        "Made by",
+        "",
+        "```sh",
+        *commands,
+        "```",
+        "",
+        "Every cell has the same starts for all methods, none of them seen in training, the same speed limit and",
+        "the same step budget. Robots have directions and handedness of their own; only",
         "`circle-central` has a common frame and all positions. Steps, epochs and efficiency (kinematic bound over",
         "steps) are means over the valid episodes; the gap is to the best-known pattern, where there is one.",
         "",

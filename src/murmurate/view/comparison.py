@@ -24,6 +24,10 @@ Row = Mapping[str, Any]
 _MARKERS = "osD^vPX"
 _COLORS = (INK, *(policy_color(place) for place in range(5)), WARNING, MUTED)
 _ACROSS = 3
+
+MANY = 30
+"""Where there are more failures than these, only the worst of each cell is drawn."""
+
 _WIDE, _HIGH = 2.45, 1.9
 
 
@@ -44,18 +48,16 @@ def comparison_figure(rows: Sequence[Row]) -> Figure:
     methods = list(dict.fromkeys(row["method"] for row in rows))
     across = min(_ACROSS, len(panels))
     down = math.ceil(len(panels) / across)
-    height = 1.15 + down * (_HIGH + 0.75)
+    height = 0.85 + down * (_HIGH + 0.75)
     figure = new_page(height)
     episodes = sorted({row["episodes"] for row in rows})
     count = f"{episodes[0]:,}" if len(episodes) == 1 else f"{episodes[0]:,} to {episodes[-1]:,}"
-    draw_head(
-        figure, "Valid patterns by method", f"{count} random starts a point, the same for all; 95% Wilson intervals"
-    )
+    draw_head(figure, "Valid patterns by method", f"{count} starts a point, the same for all; 95% Wilson intervals")
     wide = (10 - 2 * LEFT - 0.45 * across) / across - 0.15
     for place, panel in enumerate(panels):
         row, column = divmod(place, across)
         left = LEFT + 0.45 + column * (wide + 0.6)
-        ax = add_axes(figure, left, 0.55 + (down - 1 - row) * (_HIGH + 0.75), wide, _HIGH)
+        ax = add_axes(figure, left, 0.75 + (down - 1 - row) * (_HIGH + 0.75), wide, _HIGH)
         style_axes(ax, panel, "robots", "valid, %" if column == 0 else "", pad=6)
         _draw_panel(ax, [one for one in rows if _panel(one) == panel], methods)
     keys = [_key(place, method) for place, method in enumerate(methods)]
@@ -66,7 +68,7 @@ def comparison_figure(rows: Sequence[Row]) -> Figure:
 
 
 def failures_figure(rows: Sequence[Row], radius: float, scan_radius: Mapping[int, float]) -> Figure:
-    """Draws the worst failures of every cell that has any: how they ended, and who could not see whom.
+    """Draws the worst failures of every cell that has any, how they ended: who could not see whom.
 
     Args:
         rows: Of comparison.json.
@@ -80,11 +82,13 @@ def failures_figure(rows: Sequence[Row], radius: float, scan_radius: Mapping[int
         InputError: No row has a failure.
     """
     failed = [(row, one) for row in rows for one in row["worst"]]
+    if len(failed) > MANY:
+        failed = [(row, row["worst"][0]) for row in rows if row["worst"]]
     if not failed:
         raise InputError("rows", len(rows), "some that have failures")
     across, side = 5, 1.7
     down = math.ceil(len(failed) / across)
-    figure = new_page(0.9 + down * (side + 0.55))
+    figure = new_page(0.55 + down * (side + 0.55))
     draw_head(
         figure, "The worst failures", "red: sight is blocked; orange outline: ended in a collision or outside the world"
     )
@@ -116,11 +120,12 @@ def _key(place: int, method: str) -> Line2D:
 def _draw_panel(ax: Axes, rows: Sequence[Row], methods: Sequence[str]) -> None:
     sizes = sorted({row["robots"] for row in rows})
     places = {robots: place for place, robots in enumerate(sizes)}
+    here = [method for method in methods if any(row["method"] == method for row in rows)]
     for place, method in enumerate(methods):
         own = sorted((row for row in rows if row["method"] == method), key=lambda row: row["robots"])
         if not own:
             continue
-        x = np.array([places[row["robots"]] for row in own]) + 0.06 * (place - (len(methods) - 1) / 2)
+        x = np.array([places[row["robots"]] for row in own]) + 0.06 * (here.index(method) - (len(here) - 1) / 2)
         share = np.array([100 * row["valid"] / row["episodes"] for row in own])
         low, high = 100 * np.array([row["interval"] for row in own]).T
         color = _COLORS[place % len(_COLORS)]
@@ -136,6 +141,7 @@ def _draw_panel(ax: Axes, rows: Sequence[Row], methods: Sequence[str]) -> None:
             zorder=4 if place == 0 else 3,
         )
     ax.set_ylim(-4, 104)
+    ax.set_xlim(-0.5, len(sizes) - 0.5)
     ax.set_xticks(range(len(sizes)), [str(robots) for robots in sizes])
 
 
