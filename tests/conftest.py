@@ -13,6 +13,13 @@ hypothesis.settings.register_profile("ci", derandomize=True, deadline=None, data
 hypothesis.settings.load_profile("ci")
 
 
+@pytest.fixture(scope="module", autouse=True)
+def few_programs():
+    """Forgets compiled programs after every file: a process that keeps some thousands runs out of memory maps."""
+    yield
+    jax.clear_caches()
+
+
 @pytest.fixture(scope="module")
 def strict_numerics():
     """No array may change its type by accident either."""

@@ -82,8 +82,8 @@ def test_all_at_every_step_is_what_the_world_itself_does():
     assert not SchedulerConfig(rigid=False).plain
 
 
-@settings(max_examples=15)
-@given(seed=st.integers(0, 1000), share=st.floats(0, 1), within=st.integers(1, 6))
+@settings(max_examples=8)
+@given(seed=st.integers(0, 1000), share=st.sampled_from([0.0, 0.4, 1.0]), within=st.sampled_from([1, 4]))
 def test_some_at_every_step_never_nobody_and_everybody_within_the_bound(seed, share, within):
     moved, epochs = ran(seed=seed, kind="ssync", share=share, within=within)
     looked = looks(moved)
@@ -111,8 +111,8 @@ def test_the_share_of_the_active_is_as_asked():
     assert active.mean() == pytest.approx(0.3 + 0.7**4 / 4, abs=0.02)
 
 
-@settings(max_examples=15)
-@given(seed=st.integers(0, 1000), delay=st.integers(0, 4), span=st.integers(1, 5))
+@settings(max_examples=8)
+@given(seed=st.integers(0, 1000), delay=st.sampled_from([0, 1, 4]), span=st.sampled_from([1, 5]))
 def test_each_in_its_own_time_moves_by_what_it_saw_some_steps_ago(seed, delay, span):
     moved, epochs = ran(seed=seed, kind="async", delay=delay, span=span)
     looked = looks(moved)
@@ -136,8 +136,12 @@ def test_each_in_its_own_time_moves_by_what_it_saw_some_steps_ago(seed, delay, s
         assert len({tuple(looked[:, r, 0] >= 0) for r in range(ROBOTS)}) > 1
 
 
-@settings(max_examples=15)
-@given(seed=st.integers(0, 1000), kind=st.sampled_from(["fsync", "ssync", "async"]), least=st.floats(0.05, 2))
+@settings(max_examples=8)
+@given(
+    seed=st.integers(0, 1000),
+    kind=st.sampled_from(["fsync", "ssync", "async"]),
+    least=st.sampled_from([0.05, 0.5, 2.0]),
+)
 def test_a_move_may_be_stopped_but_not_before_the_least_distance(seed, kind, least):
     moved, _ = ran(seed=seed, kind=kind, rigid=False, least=least)
     whole, _ = ran(seed=seed, kind=kind, rigid=True)

@@ -1,8 +1,9 @@
 r"""Corners of the hull make room, everybody else leaves through its edges, until all are corners.
 
-After the ideas of Alsaedi, Gudmundsson and van Renssen, The Mutual Visibility Problem for Fat Robots with Lights
-(arXiv:2206.14423): robots are of two colours, and a robot that is no corner of the convex hull moves out through an
-edge of it and becomes one, in the fully synchronous model; strictly convex, with room enough for discs, all see all.
+After the idea of Alsaedi, Gudmundsson and van Renssen, The Mutual Visibility Problem for Fat Robots with Lights
+(arXiv:2206.14423), not after its letter: robots are of two colours, and a robot that is no corner of the convex hull
+moves out through an edge of it and becomes one, in the fully synchronous model; strictly convex, with room enough for
+discs, all see all.
 
 What deviates from the paper:
 

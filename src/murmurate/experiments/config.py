@@ -29,6 +29,7 @@ class ExperimentConfig(Problem):
     Attributes:
         objective: C1 (gathering at the origin) or C2 (at no predefined point).
         seed: Seed of everything random.
+        sizes: Swarm sizes among which training goes about, each in a world grown to it; none: the world's own alone.
         name: What the experiment is called.
     """
 
