@@ -11,13 +11,21 @@ import argparse
 
 from murmurate.cli.main import main as murmurate
 
-ALL = ",".join(map(str, range(3, 17)))
+ALL, SMALL = ",".join(map(str, range(3, 17))), ",".join(map(str, range(3, 13)))
+FAMILIES = "polygon,line,grid,rings"
 PARTS = (
     ("--methods", "learned", "--robots", ALL),
-    ("--methods", "learned", "--robots", "4,8,12", "--schedulers", "ssync,async-nonrigid"),
-    ("--methods", "learned", "--robots", "4,8,12,16", "--sensing", "global"),
-    ("--methods", "learned", "--robots", "4,8,16", "--starts", "polygon,line,grid,rings"),
+    ("--methods", "learned", "--robots", ALL, "--sensing", "global"),
+    ("--methods", "learned", "--robots", SMALL, "--schedulers", "ssync,async-nonrigid"),
+    ("--methods", "learned", "--robots", "24,32", "--sensing", "visible,global", "--episodes", "400"),
+    ("--methods", "learned", "--robots", "4,8,16", "--starts", FAMILIES),
+    # What breaks symmetry: handedness, noise, or the scheduler.
+    ("--methods", "learned", "--robots", "8", "--starts", FAMILIES, "--sensing", "chiral,noisy"),
+    ("--methods", "learned", "--robots", "8", "--starts", FAMILIES, "--sensing", "chiral", "--schedulers", "ssync"),
     ("--robots", "4,8,12,16"),
+    # The best of the baselines under the other schedulers.
+    ("--methods", "circle,two-color", "--robots", "4,8", "--schedulers", "ssync,async-nonrigid"),
+    ("--methods", "circle", "--robots", "12", "--schedulers", "ssync,async-nonrigid"),
 )
 
 

@@ -48,12 +48,13 @@ def main() -> None:
     parser.add_argument("--runs", type=Path, default=Path("runs"), help="where the runs are kept")
     parser.add_argument("--only-finished", action="store_true", help="train nothing, pack what is finished")
     options = parser.parse_args()
-    for to in sorted(path.parent for path in FOLDER.glob(f"*/{storage.EXPERIMENT}")):
-        folder = options.runs / f"pretrained-{to.name}"
+    for to in sorted(path.parent for path in FOLDER.glob(f"*/*/{storage.EXPERIMENT}")):
+        name = f"{to.parent.name}-{to.name}"
+        folder = options.runs / f"pretrained-{name}"
         if not options.only_finished:
             train(to / storage.EXPERIMENT, folder)
         pack(folder, to)
-        print(f"packed {to.name}: {sum(path.stat().st_size for path in to.rglob('*') if path.is_file())} bytes")
+        print(f"packed {name}: {sum(path.stat().st_size for path in to.rglob('*') if path.is_file())} bytes")
 
 
 if __name__ == "__main__":

@@ -36,7 +36,8 @@ def pretrained(objective: str = "C2", sensing: str = "visible", scheduler: str =
 
     Args:
         objective: C2 (gathering anywhere).
-        sensing: What robots perceive: visible (whom nobody hides) or global (everybody), in frames of their own.
+        sensing: What robots perceive, in frames of their own: visible (whom nobody hides), global (everybody), chiral
+            (whom nobody hides, with a common handedness) or noisy (whom nobody hides, not quite where they are).
         scheduler: When they move: fsync, ssync, adversarial, async or async-nonrigid.
 
     Returns:

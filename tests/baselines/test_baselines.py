@@ -30,7 +30,8 @@ def configuration(seed=0, robots=6):
 @eqx.filter_jit
 def look(config, positions, keys):
     frames = draw_frames(config, keys, len(positions))
-    return frames, Observation(perceive(config, positions, frames, keys, R, SCAN), positions)
+    view = perceive(config, positions, frames, keys, R, SCAN)
+    return frames, Observation(view, positions, jnp.full_like(positions[:, 0], jnp.inf))
 
 
 def observed(positions, seed=0, **sensing):

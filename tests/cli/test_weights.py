@@ -26,22 +26,22 @@ def refused(capsys, words, *parts):
 def test_the_weights_are_small_and_whole():
     files = [path for path in weights.FOLDER.rglob("*") if path.is_file()]
     assert 0 < sum(path.stat().st_size for path in files) <= 1_000_000
-    assert "C2" in weights.available()
-    for objective in weights.available():
-        for sensing in ("visible", "global"):
+    assert weights.available()["C2"] == ("global", "visible")
+    for objective, sensings in weights.available().items():
+        for sensing in sensings:
             run = murmurate.pretrained(objective, sensing)
             assert (run.experiment.objective, run.experiment.sensing.kind) == (objective, sensing)
             assert run.experiment.sensing.rotation
             assert run.experiment.sensing.reflection
-            assert set(run.experiment.sizes) <= set(range(3, 17))
+            assert set(run.experiment.sizes) <= set(range(3, 21))
 
 
 def test_damaged_weights_are_refused(tmp_path, monkeypatch):
     run = murmurate.pretrained()
-    run.save(tmp_path / "C2")
+    run.save(tmp_path / "C2" / "visible")
     monkeypatch.setattr(weights, "FOLDER", tmp_path)
-    assert weights.available() == ("C2",)
-    file = tmp_path / "C2" / "policies" / "0-base.safetensors"
+    assert weights.available() == {"C2": ("visible",)}
+    file = tmp_path / "C2" / "visible" / "policies" / "0-base.safetensors"
     file.write_bytes(file.read_bytes()[:-1] + b"\0")
     with pytest.raises(RunError, match=r"0-base\.safetensors"):
         murmurate.pretrained()
@@ -65,7 +65,7 @@ def test_a_scheduler_may_be_chosen():
     ("choice", "line"),
     [
         ({"objective": "C3"}, "objective = 'C3': must be one of"),
-        ({"sensing": "radar"}, "sensing = 'radar': must be one of global, visible"),
+        ({"sensing": "radar"}, "sensing = 'radar': must be one of global, visible, chiral, noisy"),
         (
             {"scheduler": "psync"},
             "scheduler = 'psync': must be one of fsync, ssync, adversarial, async, async-nonrigid",
@@ -80,20 +80,20 @@ def test_unknown_weights_list_the_known_ones(choice, line):
 
 def test_a_size_beyond_training_warns_once_and_goes_on():
     run = murmurate.pretrained()
-    with pytest.warns(BeyondTrainingWarning, match="robots = 20: trained were swarms of 3 to 16"):
-        larger = run.of_size(20)
+    with pytest.warns(BeyondTrainingWarning, match="robots = 24: trained were swarms of 3 to 20"):
+        larger = run.of_size(24)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert larger.rollout(1).positions.shape[2] == 20
+        assert larger.rollout(1).positions.shape[2] == 24
         run.of_size(9)
 
 
 def test_the_command_line_warns_in_one_line(tmp_path, capsys):
-    words = ["compare", "--methods", "learned", "--robots", "18", "--episodes", "1", "--out", str(tmp_path / "out")]
+    words = ["compare", "--methods", "learned", "--robots", "22", "--episodes", "1", "--out", str(tmp_path / "out")]
     assert main(words) == 0
     assert (
         capsys.readouterr().err
-        == "murmurate: warning: robots = 18: trained were swarms of 3 to 16; others may do worse\n"
+        == "murmurate: warning: robots = 22: trained were swarms of 3 to 20; others may do worse\n"
     )
 
 
@@ -155,7 +155,7 @@ def test_compare_writes_a_table_and_figures_and_goes_on(tmp_path, capsys):
     ("words", "parts"),
     [
         (["--methods", "orca"], ["method = 'orca': must be one of learned, random, centroid"]),
-        (["--sensing", "radar"], ["sensing = 'radar': must be one of global, visible"]),
+        (["--sensing", "radar"], ["sensing = 'radar': must be one of global, visible, chiral, noisy"]),
         (["--schedulers", "psync"], ["scheduler = 'psync': must be one of fsync"]),
         (["--starts", "star"], ["start = 'star': must be one of random, polygon, line, grid, rings"]),
         (["--robots", "3,,4"], ["--robots = '3,,4': must be names or numbers, separated by commas"]),

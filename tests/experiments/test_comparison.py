@@ -21,12 +21,12 @@ NAMES = ["learned", "circle", "random", "circle-central"]
 def runs(tmp_path_factory):
     config = tiny(**LOCAL, discovery={"min_policies": 1, "max_policies": 1})
     made = training.discover(config, tmp_path_factory.mktemp("comparison") / "run")
-    return {"learned": made}
+    return {"learned": {"visible": made}}
 
 
 @pytest.fixture(scope="module")
 def setting(runs):
-    base = runs["learned"].experiment
+    base = runs["learned"]["visible"].experiment
     return Comparison(replace(base, rest=replace(base.rest, max_steps=60, tolerance=1e-3)), episodes=20)
 
 
@@ -84,6 +84,15 @@ def test_what_is_done_is_not_run_again_and_more_may_be_asked_for(done, setting, 
     folder, wanted, rows = done
     monkeypatch.setattr(comparison, "_row", lambda *_: pytest.fail("run again"))
     assert compare(setting, wanted, runs, folder) == json.loads(json.dumps(rows))
+    assert compare(replace(setting, episodes=10), wanted, runs, folder) == json.loads(json.dumps(rows))
+
+
+def test_more_starts_are_another_run_of_the_same_cell(runs, setting, tmp_path):
+    cell = cells(["random"], ["visible"], ["fsync"], [3], known=NAMES)
+    first = compare(replace(setting, episodes=4), cell, runs, tmp_path)
+    assert [row["episodes"] for row in first] == [4]
+    assert [row["episodes"] for row in compare(replace(setting, episodes=6), cell, runs, tmp_path)] == [6]
+    assert len(comparison.load(tmp_path)["rows"]) == 1
 
 
 def test_another_comparison_is_not_mixed_in(done, setting, runs):
@@ -108,10 +117,12 @@ def test_symmetric_starts_are_cells_of_their_own(setting):
 def test_a_damaged_file_is_refused(done, setting, runs, tmp_path):
     folder, wanted, _ = done
     data = json.loads((folder / comparison.COMPARISON).read_text())
-    del data["rows"][0]["robots"]
-    (tmp_path / comparison.COMPARISON).write_text(json.dumps(data))
-    with pytest.raises(RunError, match=r"comparison.json is damaged: a row lacks 'robots'"):
-        compare(setting, wanted, runs, tmp_path)
+    for name in ("robots", "episodes"):
+        damaged = json.loads(json.dumps(data))
+        del damaged["rows"][0][name]
+        (tmp_path / comparison.COMPARISON).write_text(json.dumps(damaged))
+        with pytest.raises(RunError, match=rf"comparison.json is damaged: a row lacks '{name}'"):
+            compare(setting, wanted, runs, tmp_path)
 
 
 def test_what_made_the_cells_is_noted_once(done, setting, runs):

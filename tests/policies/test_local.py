@@ -33,7 +33,8 @@ def observed(positions, seed=0, **sensing):
     config = SensingConfig(**sensing)
     key = jax.random.key(seed)
     frames = draw_frames(config, key, len(positions))
-    return frames, Observation(perceive(config, positions, frames, key, R, SCAN), positions)
+    view = perceive(config, positions, frames, key, R, SCAN)
+    return frames, Observation(view, positions, 45.0 - jnp.abs(positions).max(axis=1))
 
 
 def velocities(policy, positions, seed=0, **sensing):

@@ -57,11 +57,11 @@ def _compare(options: Namespace, command: str) -> int:
     sensings, schedulers = _words(options.sensing, "--sensing"), _words(options.schedulers, "--schedulers")
     starts = _words(options.starts, "--starts")
     comparison.cells([], sensings, schedulers, sizes, starts)
-    runs = _runs(options)
+    runs = _runs(options, sensings)
     names = [*runs, *BASELINES]
     methods = names if options.methods is None else _words(options.methods, "--methods")
     wanted = comparison.cells(methods, sensings, schedulers, sizes, starts, names)
-    base = next(iter(runs.values())).experiment
+    base = next(iter(next(iter(runs.values())).values())).experiment
     setting = comparison.Comparison(base, options.episodes, options.seed)
     with Progress() as progress:
         found = comparison.compare(setting, wanted, runs, options.out, progress.update, command)
@@ -70,14 +70,14 @@ def _compare(options: Namespace, command: str) -> int:
     return 0
 
 
-def _runs(options: Namespace) -> dict[str, Run]:
-    """Returns the learned methods by name."""
+def _runs(options: Namespace, sensings: Sequence[str]) -> dict[str, dict[str, Run]]:
+    """Returns the learned methods by name, and by what robots perceive."""
     from murmurate.experiments.run import Run
     from murmurate.experiments.weights import pretrained
 
     if not options.runs:
-        return {LEARNED: pretrained(options.objective)}
-    given: dict[str, Run] = {}
+        return {LEARNED: {eyes: pretrained(options.objective, eyes) for eyes in sensings}}
+    given: dict[str, dict[str, Run]] = {}
     for word in options.runs:
         opened = Run.open(word)
         kind = opened.experiment.policy.kind
@@ -86,7 +86,7 @@ def _runs(options: Namespace) -> dict[str, Run]:
         name = Path(word).name
         if name in given:
             raise InputError("RUN", word, f"of another name than the others: {name} is there already")
-        given[name] = opened
+        given[name] = dict.fromkeys(sensings, opened)
     return given
 
 

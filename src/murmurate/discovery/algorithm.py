@@ -212,16 +212,13 @@ class Discovery:
         place = {"half_width": sizes.half_width, "half_height": sizes.half_height, "radius": sizes.radius}
         noise = (self.problem.start.noise if index == 0 else stage.noise) * sizes.radius
         share = stage.random_share if index == 0 else 0.0
-        if index == 0 and self.problem.start.kind == "random":
-            share = 1.0
         # Where nothing comes from anywhere at random, nothing need fit there: without a radius nothing is redrawn.
         anywhere = {**place, "radius": sizes.radius if share else 0.0}
-        spread = 1.0 if self.problem.start.kind == "random" else stage.random_spread
-        start: Start = Mixture(
-            Layouts(points=snapshot.sigma, noise=noise, **place),
-            Anywhere(robots=sizes.robots, spread=spread, **anywhere),
-            share,
-        )
+        first: Start = Layouts(points=snapshot.sigma, noise=noise, **place)
+        if index == 0 and self.problem.start.kind == "random":
+            # Not one of the starts drawn once, but always another.
+            first = Anywhere(robots=sizes.robots, **place)
+        start = Mixture(first, Anywhere(robots=sizes.robots, spread=stage.random_spread, **anywhere), share)
         weights: WeightsConfig = stage.weights
         by_robot = self.problem.policy.credit == "robots"
         return _with_array_leaves(World.create(sizes, start, self.problem.objective, weights, stage.horizon, by_robot))

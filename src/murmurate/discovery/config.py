@@ -21,8 +21,9 @@ class StageConfig:
         horizon: Steps after which a training episode is truncated.
         repeat: Steps for which each action is kept up while training; what is learned is executed step by step.
         noise: Half-width of the uniform noise on each restart configuration, in robot radii (auxiliary only).
-        random_share: Share of training episodes that begin anywhere in the world instead of at the start (base only).
-        random_spread: Such an episode's robots lie in two windows, each of at least this share of the world's sides.
+        random_share: Share of training episodes that begin anywhere, in two windows, instead of at the start (base
+            only).
+        random_spread: Each of the windows takes at least this share of the world's sides.
         margin: Robots are trained as if their radius and safe distance were larger by this share, so that patterns hold
             with room to spare.
         warm_start: Whether the policy begins with the weights of the one before, all but the spread of its actions

@@ -32,8 +32,10 @@ COMPARISON = "comparison.json"
 SENSINGS: dict[str, SensingConfig] = {
     "global": SensingConfig(kind="global", rotation=True, reflection=True),
     "visible": SensingConfig(kind="visible", rotation=True, reflection=True),
+    "chiral": SensingConfig(kind="visible", rotation=True),
+    "noisy": SensingConfig(kind="visible", rotation=True, reflection=True, range_noise=0.02, bearing_noise=0.01),
 }
-"""What robots perceive, by name; none agrees with another on directions or handedness."""
+"""What robots perceive, by name. None agrees with another on directions, nor, but for `chiral`, on handedness."""
 
 SCHEDULERS: dict[str, SchedulerConfig] = {
     "fsync": SchedulerConfig(),
@@ -149,17 +151,19 @@ def cells(
 def compare(
     comparison: Comparison,
     wanted: Sequence[Cell],
-    runs: Mapping[str, Run],
+    runs: Mapping[str, Mapping[str, Run]],
     folder: str | Path,
     on_progress: Callable[..., None] | None = None,
     command: str | None = None,
 ) -> list[dict[str, Any]]:
     """Runs every cell that the folder does not hold already, and keeps each there as soon as it is done.
 
+    Cells may differ in how many starts they have; one with more than are asked for is not run again.
+
     Args:
         comparison: What is compared.
         wanted: The cells.
-        runs: Learned methods by name; the other names are baselines'.
+        runs: Learned methods by name, the run for each sensing; the other names are baselines'.
         folder: Where comparison.json is, or will be.
         on_progress: Called as `on_progress(work, done, total, **values)` after each cell.
         command: What to note as having made the cells.
@@ -178,7 +182,7 @@ def compare(
     settings["commands"] = list(dict.fromkeys([*before.get("commands", []), *([command] if command else [])]))
     storage.make_folder(Path(folder))
     for place, cell in enumerate(wanted):
-        if cell not in done:
+        if cell not in done or done[cell]["episodes"] < comparison.episodes:
             done[cell] = _row(comparison, cell, _policy(comparison, cell, runs))
             storage.write_json(path, {**settings, "rows": list(done.values())})
         if on_progress is not None:
@@ -217,17 +221,16 @@ def sorted_rows(folder: str | Path) -> list[dict[str, Any]]:
     return sorted(load(folder)["rows"], key=place)
 
 
-def _settings(comparison: Comparison, runs: Mapping[str, Run]) -> dict[str, Any]:
+def _settings(comparison: Comparison, runs: Mapping[str, Mapping[str, Run]]) -> dict[str, Any]:
     world = {name: value for name, value in asdict(comparison.base.world).items() if name != "collision_penalty"}
     return {
         "objective": comparison.base.objective,
         "world": world,
         "rest": asdict(comparison.base.rest),
-        "episodes": comparison.episodes,
         "seed": comparison.seed,
         "sensings": {name: asdict(config) for name, config in SENSINGS.items()},
         "schedulers": {name: asdict(config) for name, config in SCHEDULERS.items()},
-        "weights": {name: _identity(run) for name, run in runs.items()},
+        "weights": {f"{name}, {eyes}": _identity(run) for name, own in runs.items() for eyes, run in own.items()},
     }
 
 
@@ -248,15 +251,17 @@ def _there(path: Path, settings: Mapping[str, Any]) -> dict[Cell, dict[str, Any]
             what = f"{name} is {there!r} there, {value!r} here"
             raise RunError(f"{path} holds another comparison: {what}; choose another folder")
     try:
-        return {Cell(*(row[name] for name in Cell.__dataclass_fields__)): row for row in found["rows"]}
+        cells = {Cell(*(row[name] for name in Cell.__dataclass_fields__)): row for row in found["rows"]}
+        return {cell: {**row, "episodes": int(row["episodes"])} for cell, row in cells.items()}
     except (KeyError, TypeError) as error:
         raise RunError(f"{path} is damaged: a row lacks {error}") from None
 
 
-def _policy(comparison: Comparison, cell: Cell, runs: Mapping[str, Run]) -> Any:
+def _policy(comparison: Comparison, cell: Cell, runs: Mapping[str, Mapping[str, Run]]) -> Any:
     if cell.method in runs:
-        runs[cell.method].warn_of_size(cell.robots)
-        return runs[cell.method].cascade.policies
+        run = runs[cell.method][cell.sensing]
+        run.warn_of_size(cell.robots)
+        return run.cascade.policies
     world = comparison.problem(cell).world
     sizes = Sizes(
         robots=world.robots,

@@ -14,12 +14,13 @@ from murmurate.experiments.storage import MANIFEST
 __all__ = ["FOLDER", "available", "pretrained"]
 
 FOLDER = Path(murmurate.__file__).parent / "pretrained"
-"""One folder for each objective: its weights serve every sensing and every scheduler."""
+"""One folder for each objective, in it one for each kind of sensing: weights serve every scheduler."""
 
 
-def available() -> tuple[str, ...]:
-    """Returns the objectives that there are weights for."""
-    return tuple(sorted(path.parent.name for path in FOLDER.glob(f"*/{MANIFEST}")))
+def available() -> dict[str, tuple[str, ...]]:
+    """Returns the objectives that there are weights for, and for which kinds of sensing."""
+    found = sorted((path.parent.parent.name, path.parent.name) for path in FOLDER.glob(f"*/*/{MANIFEST}"))
+    return {objective: tuple(one for name, one in found if name == objective) for objective, _ in found}
 
 
 def pretrained(objective: str = "C2", sensing: str = "visible", scheduler: str = "fsync") -> Run:
@@ -29,8 +30,9 @@ def pretrained(objective: str = "C2", sensing: str = "visible", scheduler: str =
         InputError: There are no such weights, or no such sensing or scheduler.
         RunError: They are damaged.
     """
-    check_choice("objective", objective, available())
-    check_choice("sensing", sensing, tuple(SENSINGS))
+    known = available()
+    check_choice("objective", objective, tuple(known))
+    check_choice("sensing", sensing, tuple(name for name, eyes in SENSINGS.items() if eyes.kind in known[objective]))
     check_choice("scheduler", scheduler, tuple(SCHEDULERS))
-    run = Run.open(FOLDER / objective)
+    run = Run.open(FOLDER / objective / SENSINGS[sensing].kind)
     return run.under(replace(run.experiment, sensing=SENSINGS[sensing], scheduler=SCHEDULERS[scheduler]))

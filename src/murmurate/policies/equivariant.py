@@ -29,7 +29,7 @@ from murmurate.policies.features import pair_channels, point, robot_channels, su
 from murmurate.policies.gaussian import Gaussian
 from murmurate.policies.layers import Dense, Linear, bounded, fold
 
-__all__ = ["EquivariantPolicy", "EquivariantValue"]
+__all__ = ["EquivariantPolicy", "EquivariantValue", "Valuation"]
 
 
 class EquivariantPolicy(eqx.Module):
@@ -77,29 +77,40 @@ class EquivariantPolicy(eqx.Module):
         return Gaussian(self(positions), self.log_std + math.log(self.sizes.max_speed), joint=False)
 
 
-class EquivariantValue(eqx.Module):
-    """Maps positions to what is still to be gained by every robot, from its own surroundings and the swarm's mean."""
+class Valuation(eqx.Module):
+    """Maps what is known of every robot to its value, from that and the swarm's mean of it."""
 
     node: Dense
     mine: Dense
     ours: Linear
     head: Dense
+
+    def __init__(self, features: int, width: int, key: PRNGKeyArray) -> None:
+        keys = jax.random.split(key, 4)
+        self.node = Dense(features, width, keys[0], gain=5 / 3)
+        self.mine = Dense(width, width, keys[1], gain=5 / 3)
+        self.ours = Linear(width, width, keys[2])
+        self.head = Dense(width, 1, keys[3])
+
+    def __call__(self, features: Float[Array, "features robots *batch"]) -> Float[Array, "robots *batch"]:
+        """Returns every robot's value."""
+        nodes = jnp.tanh(self.node(features))
+        ours = self.ours(jnp.mean(nodes, axis=1))
+        return self.head(jnp.tanh(self.mine(nodes) + ours[:, None]))[0]
+
+
+class EquivariantValue(eqx.Module):
+    """Maps positions to what is still to be gained by every robot, from its own surroundings and the swarm's mean."""
+
+    valuation: Valuation
     basis: int = eqx.field(static=True)
     sizes: Sizes = eqx.field(static=True)
 
     def __init__(self, config: PolicyConfig, sizes: Sizes, key: PRNGKeyArray) -> None:
-        keys = jax.random.split(key, 4)
-        width = config.hidden[0]
-        self.node = Dense(robot_channels(config.basis, sizes.landmark), width, keys[0], gain=5 / 3)
-        self.mine = Dense(width, width, keys[1], gain=5 / 3)
-        self.ours = Linear(width, width, keys[2])
-        self.head = Dense(width, 1, keys[3])
+        self.valuation = Valuation(robot_channels(config.basis, sizes.landmark), config.hidden[0], key)
         self.basis = config.basis
         self.sizes = sizes
 
     def __call__(self, positions: Float[Array, "robots 2 *batch"]) -> Float[Array, "robots *batch"]:
         """Returns every robot's value of every configuration."""
-        seen = surroundings(positions, self.basis, self.sizes)
-        nodes = jnp.tanh(self.node(seen.robot))
-        ours = self.ours(jnp.mean(nodes, axis=1))
-        return self.head(jnp.tanh(self.mine(nodes) + ours[:, None]))[0]
+        return self.valuation(surroundings(positions, self.basis, self.sizes).robot)

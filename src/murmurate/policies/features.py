@@ -6,7 +6,8 @@ cheap sums cost less than learned layers of the same breadth would.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+import math
+from typing import NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
@@ -14,13 +15,19 @@ from jaxtyping import Array, Bool, Float
 from murmurate.policies.config import Sizes
 from murmurate.policies.layers import fold
 
-__all__ = ["SHADOWS", "Surroundings", "measured", "pair_channels", "robot_channels", "surroundings"]
+__all__ = ["SHADOWS", "Surroundings", "measured", "pair_channels", "radial_basis", "robot_channels", "surroundings"]
 
 SHADOWS = 6
 """Channels of `_shadows`."""
 
-MEAN = 8.0
-"""Where the mean distance lies among the centres of the radial basis, if distances are measured by it."""
+NEAREST, FARTHEST, MEAN = 0.4, 16.0, 8.0
+"""Ends of the radial basis, and where the mean distance lies in it if distances are stretched; in safe distances."""
+
+ROOM, ROOM_WIDTH = (-0.6, -0.3, 0.0, 0.3, 0.6, 1.2), 0.3
+"""Centres of the bells in how roomy it is, logarithms of widths in least ones, and their own width."""
+
+LEAST_MEAN = 2.0
+"""Mean distance, in safe distances, of crowds so tight that they are stretched no further."""
 
 
 class Surroundings(NamedTuple):
@@ -44,17 +51,72 @@ def pair_channels(basis: int) -> int:
     return basis + 2 * (basis // 2) + SHADOWS
 
 
-def robot_channels(basis: int, landmark: bool) -> int:
+def robot_channels(basis: int, landmark: bool, scale_free: bool = False) -> int:
     """Returns the number of scalars of a robot."""
-    return 2 * basis + SHADOWS + (2 * basis if landmark else 0)
+    return 2 * basis + SHADOWS + (2 * basis if landmark else 0) + (1 + len(ROOM) if scale_free else 0)
 
 
-def radial_basis(distance: Float[Array, "*shape"], count: int, scale: Any) -> Float[Array, "basis *shape"]:
-    """Gaussians in the logarithm of the distance, from 0.4 to 16 safe distances: fine near by, coarse far away."""
-    centers = jnp.linspace(jnp.log(0.4), jnp.log(16.0), count)
-    width = centers[1] - centers[0]
-    z = (jnp.log(distance / scale + 1e-6) - centers.reshape((-1,) + (1,) * distance.ndim)) / width
+def centers(count: int) -> Float[Array, " basis"]:
+    """Logarithms of the centres of the radial basis, in safe distances: fine near by, coarse far away."""
+    return jnp.linspace(math.log(NEAREST), math.log(FARTHEST), count)
+
+
+def radial_basis(logarithm: Float[Array, "*shape"], count: int) -> Float[Array, "basis *shape"]:
+    """Gaussians in the logarithm of the distance, in safe distances.
+
+    Args:
+        logarithm: Of the distances.
+        count: Number of basis functions.
+    """
+    middle = centers(count)
+    z = (logarithm - middle.reshape((-1,) + (1,) * logarithm.ndim)) / (middle[1] - middle[0])
     return jnp.exp(-0.5 * z * z)
+
+
+def stretched(
+    logarithm: Float[Array, "robots robots *batch"], mean: Float[Array, "robots *batch"]
+) -> Float[Array, "robots robots *batch"]:
+    """Stretches what is beyond the safe distance so that the mean distance always lies at the same place.
+
+    On the smallest ring of N robots that all see each other the mean distance grows as N^2 and that of neighbours as N,
+    its geometric mean with the safe distance: stretched so, neighbours lie at the same place whatever N.
+
+    Args:
+        logarithm: Of the distances, in safe distances; the observer is the first axis.
+        mean: Mean distance of those that each robot sees, in safe distances.
+    """
+    factor = math.log(MEAN) / jnp.log(jnp.maximum(mean, LEAST_MEAN))
+    return jnp.where(logarithm > 0, logarithm * factor[:, None], logarithm)
+
+
+def counted(others: Float[Array, "robots *batch"], count: int) -> Float[Array, "basis robots *batch"]:
+    """Weights by which sums over a robot's view are alike on rings of any size, basis function by basis function.
+
+    Near by, so many fit in and they are counted; those as far as the mean distance are counted by their share; in
+    between, where on a ring their number grows as a power of N, by that.
+    """
+    place = jnp.clip(2 * centers(count) / math.log(MEAN) - 1, 0.0, 1.0)
+    return (MEAN / others) ** place.reshape((-1,) + (1,) * others.ndim)
+
+
+def roominess(
+    mean: Float[Array, "robots *batch"], others: Float[Array, "robots *batch"], sizes: Sizes
+) -> Float[Array, "room_channels robots *batch"]:
+    """Says how much wider what each robot sees is than the least ring of as many robots that all see each other.
+
+    On a ring whose radius is r the mean distance is about 4 r / pi. The least radius is 0.076 N^2 radii where robots
+    are not to hide each other, and N safe distances / (2 pi) where neighbours are to keep the safe distance.
+
+    Args:
+        mean: Mean distance of those that each robot sees, world units.
+        others: How many it sees.
+        sizes: Units of length.
+    """
+    robots = others + 1
+    least = jnp.maximum(0.0967 * sizes.radius * robots**2, 0.2026 * sizes.safe_distance * robots**2 / others)
+    logarithm = jnp.log(mean / least + 1e-3)
+    bells = [jnp.exp(-0.5 * ((logarithm - place) / ROOM_WIDTH) ** 2) for place in ROOM]
+    return jnp.stack([jnp.tanh(logarithm), *bells])
 
 
 def _shadows(ux: Array, uy: Array, distance: Array, radius: float) -> Float[Array, "6 robots robots *batch"]:
@@ -92,14 +154,17 @@ def point(
     """
     distance = jnp.sqrt(x * x + y * y)
     soft = jnp.sqrt(distance**2 + (0.25 * scale) ** 2)
-    return x / soft, y / soft, radial_basis(distance, basis, scale)
+    return x / soft, y / soft, radial_basis(jnp.log(distance / scale + 1e-6), basis)
 
 
-def surroundings(positions: Float[Array, "robots 2 *batch"], basis: int, sizes: Sizes) -> Surroundings:
+def surroundings(
+    positions: Float[Array, "robots 2 *batch"], basis: int, sizes: Sizes, *, scale_free: bool = False
+) -> Surroundings:
     """Measures what every robot sees of every other, and of the gathering point where there is one."""
     dx = positions[None, :, 0] - positions[:, None, 0]
     dy = positions[None, :, 1] - positions[:, None, 1]
-    return measured(dx, dy, dx * dx + dy * dy > 0, -positions[:, 0], -positions[:, 1], basis, sizes)
+    apart = dx * dx + dy * dy > 0
+    return measured(dx, dy, apart, -positions[:, 0], -positions[:, 1], basis, sizes, scale_free=scale_free)
 
 
 def measured(
@@ -123,18 +188,18 @@ def measured(
         point_y: The other one.
         basis: Number of radial basis functions.
         sizes: Units of length.
-        scale_free: Whether those beyond two safe distances are measured by the mean distance of all that are seen, and
+        scale_free: Whether those beyond the safe distance are measured by the mean distance of all that are seen, and
             by their share of these: then large, wide swarms look to a robot as small, narrow ones do.
     """
     square = dx * dx + dy * dy
     distance = jnp.sqrt(jnp.where(apart, square, 1.0))
     ux, uy = (jnp.where(apart, d / distance, 0.0) for d in (dx, dy))
-    radial = radial_basis(distance, basis, sizes.safe_distance)
     others = jnp.maximum(jnp.sum(apart, axis=1), 1).astype(dx.dtype)
+    logarithm = jnp.log(distance / sizes.safe_distance + 1e-6)
+    mean = jnp.sum(jnp.where(apart, distance, 0.0), axis=1) / others
     if scale_free:
-        mean = jnp.sum(jnp.where(apart, distance, 0.0), axis=1) / others
-        relative = radial_basis(distance, basis, (mean / MEAN)[:, None])
-        radial = jnp.concatenate([radial[: basis // 2], relative[basis // 2 :]])
+        logarithm = stretched(logarithm, mean / sizes.safe_distance)
+    radial = radial_basis(logarithm, basis)
     radial = radial * apart.astype(dx.dtype)
 
     def seen(i: int) -> tuple[Array, Array, Array]:
@@ -142,8 +207,7 @@ def measured(
 
     crowd, sx, sy = (total * 0.25 for total in fold(seen, dx.shape[0]))
     if scale_free:
-        far = (jnp.arange(basis) >= basis // 2).reshape((-1,) + (1,) * others.ndim)
-        crowd, sx, sy = (jnp.where(far, 8 / others, 1.0) * total for total in (crowd, sx, sy))
+        crowd, sx, sy = (counted(others, basis) * total for total in (crowd, sx, sy))
     # Where i lies in the crowd around k, ring by ring, two basis functions to a ring.
     rings = basis // 2
     rx, ry = (s[: 2 * rings].reshape((rings, 2, *s.shape[1:])).sum(axis=1)[:, :, None] for s in (sx, sy))
@@ -153,4 +217,6 @@ def measured(
     if sizes.landmark:
         px, py, near = point(point_x, point_y, basis, sizes.safe_distance)
         robot += [near, sx * px + sy * py]
+    if scale_free:
+        robot.append(roominess(mean, others, sizes))
     return Surroundings(ux, uy, pair, jnp.concatenate(robot))

@@ -6,9 +6,11 @@ Robot k moves along unit vectors u_ki towards those that it perceives, and their
 
 with coefficients that depend on the distances and angles in its own view alone. Who matters most is summed up: who is
 near (w falls off within two safe distances, and only so many robots fit there), and who is about to hide, to be hidden,
-or to be hidden behind the robot itself, however far (w is bounded by their number). Everybody else is averaged; those
-far away are measured by their mean distance, and what is counted enters by its logarithm. So nothing grows with the
-swarm or its width, and the same weights act in swarms much larger than those they were trained in.
+or to be hidden behind the robot itself, however far (w is bounded by their number). Everybody else is averaged. What is
+far is measured by the mean distance of all that are seen, what is counted enters by its logarithm, and two things are
+the same on every ring, however many robots it has: how far a robot stands out from the line between its neighbours
+on the hull of what it sees, and how much wider that is than it must be. So nothing grows with the swarm or its width,
+and the same weights act in swarms larger than those they were trained in.
 
 Lengths are taken in radii as the robot perceives them, so that its unit of length drops out; turning its frame turns
 its velocity with it.
@@ -25,9 +27,19 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from murmurate.policies.config import PolicyConfig, Sizes
-from murmurate.policies.equivariant import EquivariantValue
-from murmurate.policies.features import SHADOWS, Surroundings, measured, pair_channels, point, robot_channels
+from murmurate.policies.equivariant import Valuation
+from murmurate.policies.features import (
+    SHADOWS,
+    Surroundings,
+    measured,
+    pair_channels,
+    point,
+    radial_basis,
+    robot_channels,
+    surroundings,
+)
 from murmurate.policies.gaussian import Gaussian
+from murmurate.policies.hull import CORNER_CHANNELS, EDGE_CHANNELS, hull
 from murmurate.policies.layers import Dense, Linear, bounded, fold
 
 __all__ = ["LocalPolicy", "LocalValue", "Perception", "View"]
@@ -84,6 +96,11 @@ class Perception(Protocol):
         """Where they are."""
         ...
 
+    @property
+    def walls(self) -> Float[Array, "robots *batch"]:
+        """How far each is from the nearest wall."""
+        ...
+
 
 class LocalPolicy(eqx.Module):
     """Maps what each robot perceives to its velocity, in its own frame, world units per step."""
@@ -100,8 +117,9 @@ class LocalPolicy(eqx.Module):
     def __init__(self, config: PolicyConfig, sizes: Sizes, key: PRNGKeyArray) -> None:
         keys = jax.random.split(key, 5)
         nodes, edges = config.hidden[0], config.hidden[-1]
-        self.node = Dense(robot_channels(config.basis, sizes.landmark), nodes, keys[0], gain=5 / 3)
-        self.pair = Dense(pair_channels(config.basis), edges, keys[1])
+        robots = robot_channels(config.basis, sizes.landmark, scale_free=True) + CORNER_CHANNELS
+        self.node = Dense(robots, nodes, keys[0], gain=5 / 3)
+        self.pair = Dense(pair_channels(config.basis) + EDGE_CHANNELS, edges, keys[1])
         self.mine = Linear(nodes, edges, keys[2])
         self.head = Dense(edges, 4, keys[3], gain=0.05)
         self.to_point = Dense(nodes, 2, keys[4], gain=0.05)
@@ -118,27 +136,34 @@ class LocalPolicy(eqx.Module):
         px, py = view.point_x * scale, view.point_y * scale
         seen = view.seen & (x * x + y * y > 0)
         around = measured(x, y, seen, px, py, self.basis, sizes, scale_free=True)
-        nodes = jnp.tanh(self.node(_compressed(around.robot)))
-        edges = jnp.tanh(self.pair(_compressed(around.pair)) + self.mine(nodes)[:, :, None])
-        vx, vy = self._sum(around, self.head(edges), x, y, seen)
+        square = jnp.where(seen, x * x + y * y, 1.0)
+        outline = hull(around.ux, around.uy, jnp.sqrt(square) / sizes.radius, seen)
+        nodes = jnp.tanh(self.node(jnp.concatenate([_compressed(around.robot), outline.robot])))
+        pairs = jnp.concatenate([_compressed(around.pair), outline.pair])
+        edges = jnp.tanh(self.pair(pairs) + self.mine(nodes)[:, :, None])
+        weight = self._weight(around, square)
+        vx, vy = self._sum(around, self.head(edges), weight, seen)
         if sizes.landmark:
             ux, uy, _ = point(px, py, self.basis, sizes.safe_distance)
             g, h = self.to_point(nodes)
             vx, vy = vx + g * ux - h * uy, vy + g * uy + h * ux
         return bounded(vx, vy, sizes.max_speed)
 
-    def _sum(self, around: Surroundings, head: Any, x: Array, y: Array, seen: Array) -> tuple[Array, Array]:
-        g, h, far_g, far_h = head
-        near = jnp.exp(-(x * x + y * y) / (2 * self.sizes.safe_distance) ** 2)
+    def _weight(self, around: Surroundings, square: Array) -> Array:
+        """How much each robot seen counts, besides in the mean."""
         hiding, _, hidden, _, behind, _ = around.pair[-SHADOWS:]
         critical = jnp.tanh(hiding + hidden + behind)
         # However many they are, they weigh no more than so many.
         most = CRITICAL / (CRITICAL + jnp.sum(critical, axis=1))[:, None]
-        near = jnp.maximum(near, most * critical)
-        share = 1 / jnp.maximum(jnp.sum(seen, axis=1), 1)[:, None].astype(x.dtype)
-        g, h = near * g + share * far_g, near * h + share * far_h
+        near = jnp.exp(-square / (2 * self.sizes.safe_distance) ** 2)
+        return jnp.maximum(near, most * critical)
+
+    def _sum(self, around: Surroundings, head: Any, weight: Array, seen: Array) -> tuple[Array, Array]:
+        g, h, far_g, far_h = head
+        share = 1 / jnp.maximum(jnp.sum(seen, axis=1), 1)[:, None].astype(weight.dtype)
+        g, h = weight * g + share * far_g, weight * h + share * far_h
         ahead, aside = (g * around.ux - h * around.uy, g * around.uy + h * around.ux)
-        vx, vy = fold(lambda i: (ahead[:, i], aside[:, i]), x.shape[0])
+        vx, vy = fold(lambda i: (ahead[:, i], aside[:, i]), seen.shape[1])
         return vx, vy
 
     def distribution(self, observation: Perception) -> Gaussian:
@@ -147,16 +172,26 @@ class LocalPolicy(eqx.Module):
 
 
 class LocalValue(eqx.Module):
-    """Maps positions to what is still to be gained: training may know everything, acting never does."""
+    """Maps what there is to what is still to be gained: training may know everything, acting never does.
 
-    whole: EquivariantValue
+    It sees robots that are hidden, and the walls, which nobody who acts does.
+    """
+
+    valuation: Valuation
+    basis: int = eqx.field(static=True)
+    sizes: Sizes = eqx.field(static=True)
 
     def __init__(self, config: PolicyConfig, sizes: Sizes, key: PRNGKeyArray) -> None:
-        self.whole = EquivariantValue(config, sizes, key)
+        channels = robot_channels(config.basis, sizes.landmark, scale_free=True) + config.basis
+        self.valuation = Valuation(channels, config.hidden[0], key)
+        self.basis = config.basis
+        self.sizes = sizes
 
     def __call__(self, observation: Perception) -> Float[Array, "robots *batch"]:
         """Returns every robot's value of every configuration."""
-        return self.whole(observation.positions)
+        around = surroundings(observation.positions, self.basis, self.sizes, scale_free=True)
+        walls = radial_basis(jnp.log(observation.walls / self.sizes.safe_distance + 0.02), self.basis)
+        return self.valuation(jnp.concatenate([_compressed(around.robot), walls]))
 
 
 def _compressed(features: Float[Array, "features *batch"]) -> Float[Array, "features *batch"]:

@@ -44,7 +44,9 @@ def comparison_figure(rows: Sequence[Row]) -> Figure:
         InputError: There is no row.
     """
     _check(rows)
-    panels = list(dict.fromkeys(_panel(row) for row in rows))
+    sizes = {panel: {row["robots"] for row in rows if _panel(row) == panel} for panel in map(_panel, rows)}
+    # A single swarm size is better read in the table, where there is more to draw.
+    panels = [panel for panel, own in sizes.items() if len(own) > 1] or list(sizes)
     methods = list(dict.fromkeys(row["method"] for row in rows))
     across = min(_ACROSS, len(panels))
     down = math.ceil(len(panels) / across)

@@ -6,6 +6,7 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray, UInt32
 
 from murmurate.world.randomness import episode_keys, following, plain, wrapped
@@ -46,10 +47,12 @@ class Observation(eqx.Module):
     Attributes:
         view: What every robot perceives: all that an acting policy may be given.
         positions: Centres, world units: for the value network, which serves training only.
+        walls: How far each centre is from the nearest wall, world units: likewise.
     """
 
     view: View
     positions: Float[Array, "robots 2 *batch"]
+    walls: Float[Array, "robots *batch"]
 
 
 class Perceived(eqx.Module):
@@ -89,7 +92,8 @@ class Perceived(eqx.Module):
         """Looks around from every robot."""
         world, keys = self.world, wrapped(state.key)
         view = perceive(self.sensing, state.positions, state.frames, keys, world.radius, world.scan_radius)
-        return Observation(view, state.positions)
+        aside, above = world.half_width - abs(state.positions[:, 0]), world.half_height - abs(state.positions[:, 1])
+        return Observation(view, state.positions, jnp.maximum(jnp.minimum(aside, above), 0.0))
 
     def step(self, state: PerceivedState, action: Float[Array, "robots 2 *batch"]) -> tuple[PerceivedState, Any]:
         """Moves every robot by its own velocity; see `World.step`."""

@@ -1,0 +1,28 @@
+"""Float64 twin of the hull that robots see: by the angles at which they see others, sorted."""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def corner(points: np.ndarray) -> tuple[int, int, float] | None:
+    """Says between whom a robot at the origin is a corner of the hull of itself and some points.
+
+    Args:
+        points: Where the others are, in general position: no two in one direction.
+
+    Returns:
+        The point that nobody is to the left of, the one that nobody is to the right of, and how far the origin stands
+        out from the line through both; None inside.
+    """
+    order = np.argsort(np.arctan2(points[:, 1], points[:, 0]))
+    angle = np.arctan2(points[order, 1], points[order, 0])
+    gaps = np.diff(np.append(angle, angle[0] + 2 * np.pi))
+    widest = int(np.argmax(gaps))
+    if gaps[widest] <= np.pi:
+        return None
+    last, first = order[widest], order[(widest + 1) % len(order)]
+    a, b = points[last], points[first]
+    width = np.linalg.norm(b - a)
+    bulge = abs(a[0] * b[1] - a[1] * b[0]) / width if width > 0 else 0.0
+    return int(last), int(first), float(bulge)

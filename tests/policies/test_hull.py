@@ -1,0 +1,90 @@
+"""Who is a corner of the hull that it sees, between whom, and how far it stands out."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from murmurate.policies.hull import BROAD, hull
+from oracles.hull import corner
+
+
+def seen_hull(positions, seen=None):
+    """Measures the hull in radii of 1 from absolute positions, whoever is seen."""
+    positions = jnp.asarray(positions, jnp.float32)
+    robots = len(positions)
+    seen = ~np.eye(robots, dtype=bool) if seen is None else np.asarray(seen)
+    x, y = (positions[None, :, a] - positions[:, None, a] for a in (0, 1))
+    distance = jnp.where(seen, jnp.hypot(x, y), 1.0)
+    ux, uy = (jnp.where(seen & (distance > 0), a / jnp.where(distance > 0, distance, 1.0), 0.0) for a in (x, y))
+    return hull(ux, uy, distance, jnp.asarray(seen) & (distance > 0))
+
+
+def bulges(found):
+    """Inverts the two channels that say how far robots stand out."""
+    near, far = np.asarray(found.robot[1]), np.asarray(found.robot[2])
+    return np.sqrt(np.maximum(1 / np.sqrt(np.maximum(near, 1e-12)) - 1, 0)), BROAD * far / (1 - far)
+
+
+@given(seed=st.integers(0, 2**32 - 1), robots=st.integers(3, 12))
+def test_it_is_what_sorted_angles_say(seed, robots):
+    positions = np.random.default_rng(seed).uniform(-20, 20, (robots, 2))
+    found = seen_hull(positions)
+    edge, side, is_corner = np.asarray(found.pair[0]), np.asarray(found.pair[1]), np.asarray(found.robot[0])
+    near, far = bulges(found)
+    for k in range(robots):
+        others = np.delete(np.arange(robots), k)
+        expected = corner((positions[others] - positions[k]).astype(np.float32).astype(float))
+        assert is_corner[k] == (expected is not None)
+        if expected is None:
+            assert not edge[k].any()
+            continue
+        last, first, bulge = others[expected[0]], others[expected[1]], expected[2]
+        assert set(np.flatnonzero(edge[k])) == {last, first}
+        assert (side[k, last], side[k, first]) == (1.0, -1.0)
+        np.testing.assert_allclose(far[k], bulge, rtol=1e-2, atol=2e-2)
+        if 0.2 < bulge < 5:
+            np.testing.assert_allclose(near[k], bulge, rtol=1e-2)
+
+
+def test_neighbours_on_the_smallest_ring_stand_out_alike_whatever_their_number():
+    heights = []
+    for robots in (16, 64, 256):
+        angle = 2 * np.pi * np.arange(robots) / robots
+        ring = 0.0759 * robots**2 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        heights.append(float(bulges(seen_hull(ring))[1].mean()))
+    np.testing.assert_allclose(heights, 1.5, rtol=0.05)
+
+
+def test_who_is_not_seen_is_no_part_of_it():
+    square = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0], [0.0, 10.0], [-30.0, -31.0]])
+    seen = ~np.eye(5, dtype=bool)
+    assert not seen_hull(square, seen).robot[0, 0]
+    seen[0, 4] = False
+    found = seen_hull(square, seen)
+    assert found.robot[0, 0] == 1
+    assert set(np.flatnonzero(np.asarray(found.pair[0, 0]))) == {1, 3}
+
+
+@pytest.mark.parametrize(
+    "positions",
+    [
+        [[0.0, 0.0], [5.0, 0.0]],
+        [[0.0, 0.0], [5.0, 0.0], [10.0, 0.0], [20.0, 0.0]],
+        [[0.0, 0.0], [0.0, 0.0], [3.0, 1.0]],
+        [[1.0, 1.0]] * 3,
+    ],
+    ids=["two", "a line", "two at one place", "all at one place"],
+)
+def test_degenerate_swarms_have_finite_ones(positions):
+    found = seen_hull(positions)
+    for part in (found.pair, found.robot):
+        assert np.isfinite(np.asarray(part)).all()
+    near, _ = bulges(found)
+    on_line = len(positions) != 3
+    if on_line:
+        assert found.robot[0].all()
+        np.testing.assert_allclose(near, 0, atol=1e-3)

@@ -1,0 +1,25 @@
+"""Sums over robots, written out for few and looped over for many."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from murmurate.policies.layers import MOST_UNROLLED, fold
+
+TERMS = np.random.default_rng(0).normal(size=(MOST_UNROLLED + 5, 3))
+
+
+@pytest.mark.parametrize("count", [1, 2, MOST_UNROLLED, MOST_UNROLLED + 1, MOST_UNROLLED + 5])
+def test_a_fold_sums_as_many_terms_as_it_is_told_and_has_a_gradient(count):
+    def total(terms):
+        first, second = fold(lambda i: (terms[i], terms[i] ** 2), count)
+        return first.sum() + second.sum()
+
+    terms = jnp.asarray(TERMS, jnp.float32)
+    value, slope = jax.value_and_grad(total)(terms)
+    np.testing.assert_allclose(value, (TERMS[:count] + TERMS[:count] ** 2).sum(), rtol=1e-5)
+    np.testing.assert_allclose(slope[:count], 1 + 2 * TERMS[:count], rtol=1e-5)
+    assert not np.asarray(slope[count:]).any()
