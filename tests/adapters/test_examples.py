@@ -1,0 +1,41 @@
+"""The examples run, each with a tiny budget."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+
+def main_of(name):
+    spec = importlib.util.spec_from_file_location(f"example_{name}", EXAMPLES / f"{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module.main
+
+
+def test_random_agent(capsys):
+    lengths = main_of("random_agent")(robots=3, episodes=2, horizon=5)
+    assert all(1 <= length <= 5 for length in lengths)
+    assert capsys.readouterr().out.count("ended") == len(lengths) == 2
+
+
+def test_vector_loop():
+    history = main_of("vector_loop")(updates=12, num_envs=32, robots=3, steps=16)
+    assert np.mean(history[-3:]) > np.mean(history[:3])
+
+
+def test_pettingzoo_loop(capsys):
+    assert main_of("pettingzoo_loop")(robots=3, horizon=60) > 0
+    assert "visible" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("default")
+def test_stable_baselines3_ppo():
+    pytest.importorskip("stable_baselines3")
+    assert np.isfinite(main_of("stable_baselines3_ppo")(robots=3, steps=512, envs=2, horizon=10))
