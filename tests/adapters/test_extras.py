@@ -7,7 +7,13 @@ import sys
 
 import pytest
 
-EXTRAS = ("gymnasium", "pettingzoo")
+EXTRAS = {
+    "gymnasium": "gymnasium",
+    "onnx": "jax2onnx",
+    "pettingzoo": "pettingzoo",
+    "tensorboard": "tensorboardX",
+}
+"""The package that each of them adapts to."""
 
 
 def python(code):
@@ -19,12 +25,12 @@ def test_the_package_loads_no_extra():
     loaded = f"import sys, {modules}, murmurate.cli.main, murmurate.adapters; print(*sys.modules)"
     found = python(loaded)
     assert found.returncode == 0, found.stderr
-    assert not {"gymnasium", "pettingzoo", "murmurate.adapters.gymnasium"} & set(found.stdout.split())
+    assert not {*EXTRAS.values(), *(f"murmurate.adapters.{extra}" for extra in EXTRAS)} & set(found.stdout.split())
 
 
 @pytest.mark.parametrize("extra", EXTRAS)
 def test_a_missing_extra_says_how_to_install_it(extra):
-    found = python(f"import sys; sys.modules[{extra!r}] = None; import murmurate.adapters.{extra}")
+    found = python(f"import sys; sys.modules[{EXTRAS[extra]!r}] = None; import murmurate.adapters.{extra}")
     assert found.returncode == 1
     assert found.stderr.splitlines()[-1] == (
         f'ModuleNotFoundError: murmurate.adapters.{extra} needs {extra}: pip install "murmurate[{extra}]"'

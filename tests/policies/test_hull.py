@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -88,3 +89,21 @@ def test_degenerate_swarms_have_finite_ones(positions):
     if on_line:
         assert found.robot[0].all()
         np.testing.assert_allclose(near, 0, atol=1e-3)
+
+
+def test_on_a_line_nobody_stands_out_not_even_by_rounding():
+    rng = np.random.default_rng(3)
+    along = np.sort(rng.uniform(-300, 300, (4, 50)), axis=0)
+    angle = rng.uniform(0, 2 * np.pi, 50)
+    positions = jnp.asarray(np.stack([along * np.cos(angle), along * np.sin(angle)], axis=1), jnp.float32)
+    for robots in (2, 4):
+        dx, dy = (positions[None, :robots, axis] - positions[:robots, None, axis] for axis in (0, 1))
+        distance = jnp.sqrt(dx**2 + dy**2)
+        seen = distance > 0
+        safe = jnp.where(seen, distance, 1.0)
+        corner, near, far = jax.jit(hull)(dx / safe, dy / safe, safe, seen).robot
+        if robots == 2:
+            np.testing.assert_array_equal(corner, 1)
+            np.testing.assert_array_equal(near, 1)
+            np.testing.assert_array_equal(far, 0)
+        assert float(jnp.abs(far).max()) < 0.05

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
 from murmurate.cli.arguments import Parser
@@ -36,13 +37,15 @@ def run(argv: Sequence[str]) -> int:
         from murmurate.cli.many import discover_many, variants
 
         configs = variants(config, options.seeds if options.seeds is not None else 1, options.vary)
-        return discover_many(configs, Path(options.out or "runs"), name, options.resume, options.together)
+        with _events(options.tensorboard) as events:
+            out = Path(options.out or "runs")
+            return discover_many(configs, out, name, options.resume, options.together, events)
     if options.together is not None:
         raise UsageError("--together is for many runs: it needs --seeds or --vary")
     folder = Path(options.out or Path("runs") / f"{name}-seed{config.seed}")
     try:
-        with Progress() as progress:
-            discover(config, folder, options.resume, progress.update)
+        with Progress() as progress, _events(options.tensorboard) as events:
+            discover(config, folder, options.resume, progress.update, events)
     except KeyboardInterrupt:
         raise KeyboardInterrupt(f"interrupted; add --resume to the same command to go on with {folder}") from None
     return _report(folder)
@@ -65,9 +68,22 @@ def _parser(shown: str) -> Parser:
     parser.add_argument("--vary", action="append", default=[], metavar="FIELD=VALUE,...", help=vary)
     side = "train this many of them side by side in one program (default: all on an accelerator, 1 on a CPU)"
     parser.add_argument("--together", type=int, metavar="INT", help=side)
+    board = "write the training curves for TensorBoard as well (needs the tensorboard extra)"
+    parser.add_argument("--tensorboard", action="store_true", help=board)
     parser.add_fields(presets.preset(shown), aliases={"policy.kind": "--policy"})
     parser.epilog = f"Defaults are those of experiment {shown} with the {presets.DEFAULT_LEARNER} learner."
     return parser
+
+
+def _events(wanted: bool) -> AbstractContextManager[Callable[[Path], None] | None]:
+    """Opens what writes events for TensorBoard, or nothing."""
+    if not wanted:
+        return nullcontext()
+    try:
+        from murmurate.adapters.tensorboard import Events
+    except ModuleNotFoundError as error:
+        raise UsageError(str(error)) from None
+    return Events()
 
 
 def _report(folder: Path) -> int:

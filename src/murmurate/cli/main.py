@@ -31,6 +31,7 @@ VERBS = {
     "experiments": "list the experiments",
     "compare": "run learned policies and baselines from the same starts, with the same eyes and schedulers",
     "table": "write the results of many runs as a Markdown table",
+    "export": "write policies as an ONNX model, or trajectories as waypoints in metres",
     "reproduce": "train everything, and write a report of the paper's tables and figures beside ours",
 }
 

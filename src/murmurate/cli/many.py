@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -55,7 +55,12 @@ def _choices(text: str, leaves: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 def discover_many(
-    configs: Mapping[str, ExperimentConfig], out: Path, name: str, resume: bool, together: int | None = None
+    configs: Mapping[str, ExperimentConfig],
+    out: Path,
+    name: str,
+    resume: bool,
+    together: int | None = None,
+    on_metrics: Callable[[Path], None] | None = None,
 ) -> int:
     """Runs experiments, each to a folder of its own, and catalogues what they found.
 
@@ -66,6 +71,7 @@ def discover_many(
         resume: Go on with the runs that are there already.
         together: How many train side by side in one program; by default all on an accelerator, and one on a CPU,
             which loses by it.
+        on_metrics: See `experiments.training.discover`.
 
     Returns:
         0, or 3 when no valid pattern was discovered.
@@ -93,7 +99,8 @@ def discover_many(
         numbers = f"{first + 1}" if len(part) == 1 else f"{first + 1}-{first + len(part)}"
         try:
             with Progress() as progress:
-                discover_together(part, resume, _numbered(progress.update, f"{numbers} of {len(folders)}: "))
+                tell = _numbered(progress.update, f"{numbers} of {len(folders)}: ")
+                discover_together(part, resume, tell, on_metrics)
         except KeyboardInterrupt:
             raise KeyboardInterrupt("interrupted; add --resume to the same command to go on") from None
     print(tables.as_markdown(tables.RESULTS, tables.results(folders)), end="")

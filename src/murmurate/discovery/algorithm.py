@@ -108,10 +108,7 @@ class Discovery:
 
     def cascade(self, policies: tuple[Any, ...]) -> Cascade:
         """Returns the list of policies as it is executed."""
-        rest, period = self.problem.rest, self.problem.scheduler.period
-        # Rest is rest of every robot: where not all move at every step, a rule of rest counts their cycles.
-        rest = replace(rest, window=rest.window * period, max_steps=rest.max_steps * period)
-        return Cascade(policies, self._seen(self._scheduled(self.world), self.world), rest)
+        return Cascade(policies, self._seen(self._scheduled(self.world), self.world), self.problem.rest_in_steps)
 
     def advance(self, snapshot: Snapshot) -> tuple[Snapshot, list[dict[str, Any]]]:
         """Runs one chunk of updates; after a policy's last one, also evaluates the list.

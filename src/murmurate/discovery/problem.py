@@ -69,6 +69,15 @@ class Problem:
         )
         return replace(self, world=world, rest=rest, sizes=())
 
+    @property
+    def rest_in_steps(self) -> RestRule:
+        """When a policy has come to rest under the scheduler.
+
+        Rest is rest of every robot: where not all move at every step, the rule counts their cycles.
+        """
+        period = self.scheduler.period
+        return replace(self.rest, window=self.rest.window * period, max_steps=self.rest.max_steps * period)
+
     def parts(self) -> list[Self]:
         """Returns the problem for each swarm size that training goes about, with as much to learn from in an update."""
         ppo, config = self.base.ppo, self.discovery

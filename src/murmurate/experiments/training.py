@@ -32,6 +32,7 @@ def discover(
     folder: str | Path,
     resume: bool = False,
     on_progress: Callable[..., None] | None = None,
+    on_metrics: Callable[[Path], None] | None = None,
 ) -> Run:
     """Runs Algorithm 2 and leaves everything it produced in a folder.
 
@@ -43,6 +44,7 @@ def discover(
         folder: The run folder, to be created.
         resume: Continue what the folder holds; a finished run is only opened.
         on_progress: Called as `on_progress(work, done, total, **values)` whenever there is something new to tell.
+        on_metrics: Called with the folder at the beginning, and whenever its metrics.jsonl has grown.
 
     Returns:
         The finished run; `manifest["outcome"]` says whether there was a valid pattern.
@@ -51,11 +53,14 @@ def discover(
         InputError: The experiment is impossible; nothing has been written.
         RunError: The folder holds another run, is damaged, or cannot be written to.
     """
-    return discover_together({Path(folder): config}, resume, on_progress)[0]
+    return discover_together({Path(folder): config}, resume, on_progress, on_metrics)[0]
 
 
 def discover_together(
-    configs: Mapping[Path, ExperimentConfig], resume: bool = False, on_progress: Callable[..., None] | None = None
+    configs: Mapping[Path, ExperimentConfig],
+    resume: bool = False,
+    on_progress: Callable[..., None] | None = None,
+    on_metrics: Callable[[Path], None] | None = None,
 ) -> list[Run]:
     """Runs many discoveries side by side, those of the same shapes in one compiled program, each to its own folder.
 
@@ -65,6 +70,7 @@ def discover_together(
         configs: What to discover, and how, by the run folder.
         resume: Continue what the folders hold.
         on_progress: See `discover`; told of is the discovery that is furthest behind, with means over all.
+        on_metrics: See `discover`; called for every folder.
 
     Returns:
         The finished runs, in the order of the folders.
@@ -74,6 +80,7 @@ def discover_together(
         RunError: A folder holds another run, is damaged, or cannot be written to.
     """
     tell = on_progress or (lambda *_, **__: None)
+    watch = on_metrics or (lambda folder: None)
     for folder, config in configs.items():
         if storage.look(folder, resume) != "new":
             configuration.check_same(config, folder)
@@ -82,12 +89,14 @@ def discover_together(
     for folder, discovery in discoveries.items():
         if storage.claim(folder, resume) == "finished":
             checkpoint.remove(folder)
+            watch(folder)
             continue
         configuration.save(configs[folder], folder)
         point = checkpoint.load(folder, discovery)
         storage.truncate_lines(folder / METRICS, point.rows)
         works.append(_Work(configs[folder], folder, discovery, point))
-    ran = {work.folder: _finish(work, tell) for work in _train(works, tell)}
+        watch(folder)
+    ran = {work.folder: _finish(work, tell) for work in _train(works, tell, watch)}
     return [ran.get(folder) or Run.open(folder) for folder in configs]
 
 
@@ -114,7 +123,7 @@ class _Work:
         return len(snapshot.policies), 0 if snapshot.train is None else int(snapshot.train.update)
 
 
-def _train(works: Sequence[_Work], tell: Callable[..., None]) -> list[_Work]:
+def _train(works: Sequence[_Work], tell: Callable[..., None], watch: Callable[[Path], None]) -> list[_Work]:
     """Goes on from checkpoints until every list of policies is complete."""
     works = list(works)
     running = [place for place, work in enumerate(works) if not work.point.snapshot.finished]
@@ -125,6 +134,7 @@ def _train(works: Sequence[_Work], tell: Callable[..., None]) -> list[_Work]:
         after, rows = _advance(before)
         for place, work in zip(running, after, strict=True):
             works[place] = work
+            watch(work.folder)
         _tell(before, tell, rows, after)
         running = [place for place in running if not works[place].point.snapshot.finished]
     return works

@@ -101,8 +101,11 @@ def occluded(positions: Float[Array, "robots 2 *batch"], radius: float) -> Bool[
     return _occluded(xp, dx, dy, distance, radius)
 
 
-def _shadows(xp: Any, dx: Any, dy: Any, distance: Any, radius: float) -> Callable[[int], Any]:
-    """Returns the function that says who lies in the shadow of robot j: observer k (row), observed i (column)."""
+def _shadows(xp: Any, dx: Any, dy: Any, distance: Any, radius: float) -> Callable[[Any], Any]:
+    """Returns the function that says who lies in the shadow of robot j: observer k (row), observed i (column).
+
+    Given `slice(None)` instead of a number it says so of every j at once, on an axis between these two.
+    """
     other = off_diagonal(xp, distance)
     safe = xp.where(distance > 0, distance, 1)
     # A robot does not see itself: an unreachable distance keeps it from ever being the nearer of a pair.
@@ -111,20 +114,26 @@ def _shadows(xp: Any, dx: Any, dy: Any, distance: Any, radius: float) -> Callabl
     sin = xp.where(distance > radius, radius / safe, 1)
     cos = xp.sqrt((1 - sin) * (1 + sin))
 
-    def shadowed_by(j: int) -> Any:
+    def shadowed_by(j: Any) -> Any:
         jx, jy, jsin, jcos, jreach = (a[:, j, None] for a in (ux, uy, sin, cos, reach))
-        cos_gamma = ux * jx + uy * jy
-        sin_gamma = xp.abs(ux * jy - uy * jx)
-        sin_sum, cos_sum = sin * jcos + cos * jsin, cos * jcos - sin * jsin
-        return (jreach < reach) & (sin_sum * cos_gamma > cos_sum * sin_gamma) & other
+        ix, iy, isin, icos, ireach, apart = (
+            a[:, None] if isinstance(j, slice) else a for a in (ux, uy, sin, cos, reach, other)
+        )
+        cos_gamma = ix * jx + iy * jy
+        sin_gamma = xp.abs(ix * jy - iy * jx)
+        sin_sum, cos_sum = isin * jcos + icos * jsin, icos * jcos - isin * jsin
+        return (jreach < ireach) & (sin_sum * cos_gamma > cos_sum * sin_gamma) & apart
 
     return shadowed_by
 
 
 def _occluded(xp: Any, dx: Any, dy: Any, distance: Any, radius: float) -> Any:
+    shadowed_by, robots = _shadows(xp, dx, dy, distance, radius), distance.shape[0]
+    if not isinstance(robots, int):  # in a program for swarms of any size, nobody can be taken one after another
+        return xp.any(shadowed_by(slice(None)), axis=1)
     # One robot after another instead of a reduction over a third axis: no N^3 array, and XLA's CPU backend vectorises
     # this along the batch, which it does not do for a reduction over a middle axis.
-    return functools.reduce(operator.or_, map(_shadows(xp, dx, dy, distance, radius), range(distance.shape[0])))
+    return functools.reduce(operator.or_, map(shadowed_by, range(robots)))
 
 
 def shadow(

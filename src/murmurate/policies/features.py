@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
@@ -126,19 +127,20 @@ def _shadows(ux: Array, uy: Array, distance: Array, radius: float) -> Float[Arra
     the j nearer than i (they hide i), over the j farther (i hides them), and over the j behind k (k stands between).
     """
     half = radius / distance
+    number = jax.lax.broadcasted_iota(jnp.int32, distance.shape[1:], 0)
 
     def third(j: int) -> tuple[Array, ...]:
         jx, jy, jd, jh = (a[:, j, None] for a in (ux, uy, distance, half))
         z = (ux * jy - uy * jx) / (half + jh)
         cos = ux * jx + uy * jy
         # j is no third robot where i is j itself; where k is i or j the unit vector, so the cosine, is 0.
-        bell = (1 / (1 + z * z) ** 2).at[:, j].set(0.0)
+        bell = jnp.where(number == j, 0.0, 1 / (1 + z * z) ** 2)
         ahead = jnp.where(cos > 0, bell, 0.0)
         hiding = jnp.where(jd < distance, ahead, 0.0)
         behind = jnp.where(cos < 0, bell, 0.0)
         return tuple(w * factor for w in (hiding, ahead - hiding, behind) for factor in (1.0, z))
 
-    return jnp.stack(fold(third, distance.shape[0]))
+    return jnp.stack(fold(third, distance.shape[1]))
 
 
 def point(
@@ -205,7 +207,7 @@ def measured(
     def seen(i: int) -> tuple[Array, Array, Array]:
         return radial[:, :, i], radial[:, :, i] * ux[:, i], radial[:, :, i] * uy[:, i]
 
-    crowd, sx, sy = (total * 0.25 for total in fold(seen, dx.shape[0]))
+    crowd, sx, sy = (total * 0.25 for total in fold(seen, dx.shape[1]))
     if scale_free:
         crowd, sx, sy = (counted(others, basis) * total for total in (crowd, sx, sy))
     # Where i lies in the crowd around k, ring by ring, two basis functions to a ring.

@@ -59,7 +59,8 @@ def hull(
     last, first = (seen & (count == 0) for count in (left, right))
     (ax, ay), (bx, by) = _middle(last, ux, uy, distance), _middle(first, ux, uy, distance)
     width = jnp.sqrt((ax - bx) ** 2 + (ay - by) ** 2 + 1e-6)
-    bulge = jnp.abs(ax * by - ay * bx) / width
+    # Where everybody is in one line, rounding would be all that is left of the product, over next to no width.
+    bulge = jnp.where(jnp.any(last & first, axis=1), 0.0, jnp.abs(ax * by - ay * bx) / width)
     corner = jnp.any(last, axis=1).astype(dtype)
     robot = [corner, corner / (1 + bulge**2) ** 2, corner * bulge / (BROAD + bulge)]
     pair = [(last | first).astype(dtype), last.astype(dtype) - first.astype(dtype)]

@@ -1,0 +1,30 @@
+"""Runs an exported cascade with NumPy and onnxruntime alone: `murmurate export RUN --onnx --out swarm.onnx`."""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+import onnxruntime
+
+
+def main(path: str, robots: int | None = None, spacing: float = 6.0, most: int = 3000) -> np.ndarray:
+    """Lets a swarm go from a grid until it is at rest, and returns where it is, `(robots, 2)`, world units."""
+    session = onnxruntime.InferenceSession(path)
+    about = session.get_modelmeta().custom_metadata_map
+    robots, policies = robots or int(about["robots"]), len(about["policies"].split(","))
+    grid = np.stack(np.meshgrid(*2 * [np.arange(np.ceil(np.sqrt(robots)))]), axis=-1).reshape(-1, 2)[:robots]
+    noise = np.random.default_rng(0).uniform(-1, 1, grid.shape)
+    positions = (spacing * (grid - grid.mean(axis=0)) + noise).astype(np.float32)[None]  # a batch of one swarm
+    memory = np.zeros((1, session.get_inputs()[1].shape[1]), np.float32)
+    for step in range(most):
+        velocities, memory = session.run(None, {"positions": positions, "memory": memory})
+        if memory[0, 0] == policies:  # the last policy has brought the swarm to rest
+            print(f"{robots} robots at rest after {step} steps")
+            break
+        positions = positions + velocities
+    return positions[0]
+
+
+if __name__ == "__main__":
+    print(main(sys.argv[1], *map(int, sys.argv[2:3])))

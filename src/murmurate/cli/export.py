@@ -1,0 +1,105 @@
+"""`murmurate export`: a run's policies as an ONNX model, or its trajectories as waypoints."""
+
+from __future__ import annotations
+
+import os
+from argparse import Namespace
+from collections.abc import Sequence
+from pathlib import Path
+
+from murmurate.cli.arguments import Parser
+from murmurate.errors import RunError, UsageError, check_choice
+
+__all__ = ["run"]
+
+CASCADE = ("--policy",)
+WAYPOINTS = ("--scale", "--period", "--episodes", "--robot-radius", "--robot-speed")
+
+
+def run(argv: Sequence[str]) -> int:
+    """Runs the verb; returns 0."""
+    parser = Parser(
+        "export", "RUN", "Takes a run to robots and other tools: policies as ONNX, trajectories as waypoints."
+    )
+    parser.add_argument("run", metavar="RUN", help="folder of a finished run; none: the package's weights", nargs="?")
+    parser.add_argument("--onnx", action="store_true", help="write the cascade, or one policy, as an ONNX model")
+    parser.add_argument(
+        "--policy", type=int, metavar="INT", help="with --onnx: this policy alone (default: the cascade)"
+    )
+    what = "write the recorded episodes as waypoints in metres"
+    parser.add_argument("--trajectories", metavar="csv|json", help=what)
+    parser.add_argument("--scale", type=float, metavar="METRES", help="metres of a world unit (default: 0.1)")
+    parser.add_argument("--period", type=float, metavar="SECONDS", help="seconds of a step (default: 1)")
+    parser.add_argument("--episodes", type=int, metavar="INT", help="how many of the recorded episodes (default: all)")
+    parser.add_argument(
+        "--robot-radius", type=float, metavar="METRES", help="refuse what robots this large cannot follow"
+    )
+    parser.add_argument("--robot-speed", type=float, metavar="M/S", help="refuse what robots this fast cannot follow")
+    parser.add_argument("--out", metavar="FILE", help="where to write (default: the run's name, .onnx, .csv or .json)")
+    options, _ = parser.parse(argv)
+    given = {flag for flag in (*CASCADE, *WAYPOINTS) if getattr(options, flag[2:].replace("-", "_")) is not None}
+    if options.onnx == (options.trajectories is not None):
+        raise UsageError("give one of --onnx and --trajectories csv|json (see murmurate export --help)")
+    for flag in sorted(given.intersection(WAYPOINTS if options.onnx else CASCADE)):
+        raise UsageError(f"{flag} is for {'--trajectories' if options.onnx else '--onnx'}")
+    if options.onnx:
+        return _model(options.run, options.policy, options.out)
+    if options.run is None:
+        raise UsageError("--trajectories needs a RUN that has recorded some")
+    return _waypoints(options)
+
+
+def _model(folder: str | None, index: int | None, out: str | None) -> int:
+    path = _free(Path(out or f"{Path(folder).resolve().name if folder else 'murmurate'}.onnx"))
+    import murmurate
+    from murmurate.experiments import storage
+
+    opened = murmurate.load(folder) if folder else murmurate.pretrained()
+    try:
+        from murmurate.adapters import onnx
+    except ModuleNotFoundError as error:
+        raise UsageError(str(error)) from None
+    model = onnx.export(opened, index)
+    difference = model.difference(opened)
+    if not difference <= onnx.TOLERANCE:
+        raise RunError(f"the model differs from the policy by {difference:.1e}: nothing was written")
+    storage.write_bytes(path, model.data)
+    for name, shape in model.program.inputs.items():
+        print(f"input: {name} {' x '.join(map(str, shape))}, float32")
+    print(f"outputs: {', '.join(model.program.outputs)}")
+    print(f"greatest difference over {onnx.CHECKED:,} configurations: {difference:.1e}")
+    print(f"model: {path}")
+    return 0
+
+
+def _waypoints(options: Namespace) -> int:
+    from murmurate.experiments.waypoints import FORMATS, Scale, Waypoints
+
+    check_choice("--trajectories", options.trajectories, FORMATS)
+    path = _free(Path(options.out or f"{Path(options.run).resolve().name}.{options.trajectories}"))
+    usual = Scale()
+    scale = Scale(
+        metres=usual.metres if options.scale is None else options.scale,
+        seconds=usual.seconds if options.period is None else options.period,
+        robot_radius=options.robot_radius,
+        robot_speed=options.robot_speed,
+    )
+    waypoints = Waypoints.of_run(options.run, scale, options.episodes)
+    waypoints.write(path, options.trajectories)
+    for name, value in waypoints.about().items():
+        print(f"{name.replace('_', ' ')}: {value}")
+    kept, left = len(waypoints.episodes), len(waypoints.left_out)
+    print(
+        f"episodes: {kept}" + (f"; {left} that ended in a collision or outside the world are left out" if left else "")
+    )
+    print(f"waypoints: {path}")
+    return 0
+
+
+def _free(path: Path) -> Path:
+    """Makes sure that nothing is overwritten."""
+    if os.path.lexists(path):
+        raise RunError(f"{path} exists: choose another --out")
+    if not path.parent.is_dir():
+        raise RunError(f"{path}: there is no folder {path.parent}")
+    return path
