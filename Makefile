@@ -6,7 +6,7 @@ EXPERIMENT ?= C
 SEED ?= 0
 OUT ?= runs/$(EXPERIMENT)-equivariant-seed$(SEED)
 
-.PHONY: discover test lint benchmark results seeds optima pretrained compare clean
+.PHONY: discover test lint docs figures-docs benchmark results seeds optima pretrained compare clean
 
 $(VENV)/.installed: pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "murmurate needs Python >= 3.11; set PYTHON=...")'
@@ -25,6 +25,12 @@ lint: $(VENV)/.installed
 	$(BIN)/ruff format --check .
 	$(BIN)/lint-imports
 	$(BIN)/pyright
+
+docs: $(VENV)/.installed  ## the documentation site, warnings are errors; into build/docs
+	$(BIN)/sphinx-build -W --keep-going -n -q -b html docs build/docs
+
+figures-docs: $(VENV)/.installed  ## draws the figures of docs/world.md again
+	$(BIN)/python docs/draw.py
 
 benchmark: $(VENV)/.installed  ## world and training speed beside JaxMARL's; writes docs/benchmarks.md
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[benchmark]'

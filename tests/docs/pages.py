@@ -1,0 +1,152 @@
+"""The pages of the documentation, and how what they show is executed or checked."""
+
+from __future__ import annotations
+
+import itertools
+import re
+import shlex
+import shutil
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from markdown_it import MarkdownIt
+from markdown_it.token import Token
+
+from murmurate.cli.main import VERBS, main
+from murmurate.experiments import presets
+
+ROOT = Path(__file__).parents[2]
+DOCS = ROOT / "docs"
+WRITTEN_BY_PROGRAMS = {"results.md", "discoveries.md", "reproduction/report.md", "comparison/comparison.md"}
+PAGES = sorted(page.relative_to(DOCS).as_posix() for page in DOCS.rglob("*.md"))
+BY_HAND = [page for page in PAGES if page not in WRITTEN_BY_PROGRAMS]
+
+_NUMBERS = "--{0}.ppo.updates 2 --{0}.ppo.steps 4 --{0}.ppo.worlds 8 --{0}.ppo.minibatches 2"
+TINY = " ".join(_NUMBERS.format(stage) for stage in ("base", "auxiliary")).split()
+TINY += [
+    "--discovery.sigma",
+    "8",
+    "--discovery.episodes",
+    "8",
+    "--discovery.max_policies",
+    "2",
+    "--policy.hidden",
+    "8,8",
+]
+# Whatever was learned, it comes to rest at once.
+TINY += ["--rest.max_steps", "20", "--rest.tolerance", "0.5", "--rest.switch_tolerance", "0.5"]
+
+
+def tokens(page: str, kind: str) -> list[Token]:
+    """Returns the blocks of a page that are fenced (`fence`) or indented (`code_block`)."""
+    return [token for token in MarkdownIt().parse((DOCS / page).read_text("utf-8")) if token.type == kind]
+
+
+class Reader:
+    """A reader of one page, who tries everything that it shows, in order, in a folder."""
+
+    def __init__(self, page: str, folder: Path) -> None:
+        self.page, self.folder = page, folder
+        self.scope: dict[str, Any] = {"__name__": "__main__"}
+        self.tried = 0
+
+    def read(self) -> None:
+        """Tries every block; one of a language that nobody can try is an error."""
+        for token in tokens(self.page, "fence"):
+            language = token.info.strip()
+            if language.startswith("{"):  # a directive, which the strict build checks
+                continue
+            readers: dict[str, Callable[[str], None]] = {"python": self.python, "toml": self.toml, "sh": self.shell}
+            assert language in readers, f"{self.page}: nothing checks a block of {language or 'no language'}"
+            readers[language](token.content)
+            self.tried += 1
+        for token in tokens(self.page, "code_block"):
+            first = {line.split()[0] for line in token.content.splitlines() if line.strip()}
+            assert not first & {"$", "murmurate", "make", "pip", "python", "pytest"}, f"{self.page}: use a block of sh"
+
+    def python(self, code: str) -> None:
+        """Executes code with the names of the blocks before it."""
+        exec(compile(code, self.page, "exec", dont_inherit=True), self.scope)
+
+    def toml(self, text: str) -> None:
+        """Saves an experiment under the name that its first line gives, and resolves it."""
+        name = re.match(r"# ([\w-]+\.toml)\n", text)
+        assert name, f"{self.page}: the first line of a block of TOML is `# name.toml`"
+        path = self.folder / name[1]
+        path.write_text(text, "utf-8")
+        presets.resolve(str(path))
+
+    def shell(self, text: str) -> None:
+        """Tries every command: ours are executed, of others it is checked that what they name exists."""
+        for line in text.replace("\\\n", " ").splitlines():
+            words = shlex.split(line, comments=True)
+            while words and re.fullmatch(r"[A-Z_]+=\S*", words[0]):
+                words = words[1:]
+            if not words:
+                continue
+            program = words[0].removeprefix(".venv/bin/")
+            if program == "murmurate":
+                self.murmurate(words[1:])
+            else:
+                assert program in _CHECKS, f"{self.page}: nothing checks `{line}`"
+                _CHECKS[program](words[1:])
+
+    def murmurate(self, words: list[str]) -> None:
+        """Executes one of our commands, with a small budget where it would train or run a thousand starts."""
+        assert words[0] in VERBS, f"{self.page}: no verb {words[0]}"
+        small: list[str] = []
+        if words[0] == "discover":
+            # Of the policies, central compiles fastest; the others, in swarms of three.
+            small = [*TINY, *(("--world.robots", "3") if "--policy" in words else ("--policy", "central"))]
+        elif words[0] == "evaluate" and "--starts" not in words:
+            small = ["--episodes", "8"]
+        elif words[0] == "show" and "--robots" in words:
+            small = ["--robots", "4"]
+        elif words[0] == "compare":
+            small = ["--robots", "4", "--episodes", "4", "--schedulers", "fsync", "--methods", "learned,circle"]
+        status = main([*words, *small])
+        # Nothing need have been learned in two updates.
+        assert status in ((0, 3) if words[0] == "discover" else (0,)), f"{self.page}: murmurate {' '.join(words)}"
+
+
+def _make(words: list[str]) -> None:
+    targets = set(re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text("utf-8"), re.MULTILINE))
+    assert set(words) <= targets, f"make {words}: no such target"
+
+
+def _python(words: list[str]) -> None:
+    if words[:2] == ["-m", "pip"]:
+        _pip(words[2:])
+    elif words[:1] == ["-m"]:
+        assert words[1] == "venv" or (ROOT / words[1].split(".")[0]).is_dir(), f"python -m {words[1]}: no such module"
+    else:
+        assert (ROOT / words[0]).is_file(), f"python {words[0]}: no such file"
+
+
+def _pip(words: list[str]) -> None:
+    """Checks that what is installed is this project, extras of it, or what an extra brings; and that files exist."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    extras = project["optional-dependencies"]
+    assert words[0] == "install"
+    for flag, word in itertools.pairwise(words):
+        if flag in ("-c", "--constraint"):
+            assert (ROOT / word).is_file(), f"pip install {flag} {word}: no such file"
+        elif not word.startswith("-"):
+            name, _, wanted = word.rstrip("]").partition("[")
+            assert name in (".", project["name"]), f"pip install {word}: not this project"
+            assert set(filter(None, wanted.split(","))) <= set(extras), f"pip install {word}: no such extra"
+
+
+def _pytest(words: list[str]) -> None:
+    for word in words:
+        assert not word.startswith("tests") or (ROOT / word).exists(), f"pytest {word}: no such path"
+
+
+_CHECKS = {"make": _make, "python": _python, "python3": _python, "pip": _pip, "pytest": _pytest}
+
+
+def copy_run(source: Path, target: Path) -> None:
+    """Copies a run folder, as if it had been discovered there."""
+    shutil.copytree(source, target, dirs_exist_ok=True)
