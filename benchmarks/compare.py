@@ -17,15 +17,23 @@ PARTS = (
     ("--methods", "learned", "--robots", ALL),
     ("--methods", "learned", "--robots", ALL, "--sensing", "global"),
     ("--methods", "learned", "--robots", SMALL, "--schedulers", "ssync,async-nonrigid"),
-    ("--methods", "learned", "--robots", "24,32", "--sensing", "visible,global", "--episodes", "400"),
+    # Larger than any that the weights were trained in.
+    ("--methods", "learned", "--robots", "24,32", "--sensing", "global"),
+    ("--methods", "learned", "--robots", "24"),
+    ("--methods", "learned", "--robots", "32", "--episodes", "400"),
+    ("--methods", "learned", "--robots", "64", "--sensing", "global,visible", "--episodes", "16"),
     ("--methods", "learned", "--robots", "4,8,16", "--starts", FAMILIES),
     # What breaks symmetry: handedness, noise, or the scheduler.
     ("--methods", "learned", "--robots", "8", "--starts", FAMILIES, "--sensing", "chiral,noisy"),
     ("--methods", "learned", "--robots", "8", "--starts", FAMILIES, "--sensing", "chiral", "--schedulers", "ssync"),
     ("--robots", "4,8,12,16"),
+    ("--methods", "circle,two-color,centroid", "--robots", "4,8,12,16", "--sensing", "global"),
+    ("--methods", "gradient", "--robots", "4,8,12", "--sensing", "global"),
+    ("--methods", "circle,two-color", "--robots", "24", "--episodes", "200"),
     # The best of the baselines under the other schedulers.
     ("--methods", "circle,two-color", "--robots", "4,8", "--schedulers", "ssync,async-nonrigid"),
     ("--methods", "circle", "--robots", "12", "--schedulers", "ssync,async-nonrigid"),
+    ("--methods", "centroid,gradient", "--robots", "4", "--schedulers", "ssync"),
 )
 
 

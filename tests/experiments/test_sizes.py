@@ -39,7 +39,8 @@ def test_worlds_grow_as_the_papers_do_and_then_as_rings_do():
         assert (made.half_width, made.robots) == (pytest.approx(side), robots)
         assert made.scan_radius / made.half_width == pytest.approx(20 / 45)
         assert (made.radius, made.safe_distance, made.max_speed) == (1.0, 5.0, 1.0)
-    assert grown(WorldConfig(), 64).half_width == pytest.approx(0.15 * 64**2)
+    assert grown(WorldConfig(), 20).half_width == pytest.approx(70)
+    assert grown(WorldConfig(), 64).half_width == pytest.approx(0.175 * 64**2)
     back = grown(grown(WorldConfig(), 64), 10)
     assert back.half_width == pytest.approx(45)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -79,7 +80,6 @@ class Discovery:
         self._sensing = problem.sensing if problem.policy.kind == "local" else None
         self._key = jax.random.key(problem.seed)
         self._parts = tuple(Discovery(part) for part in problem.parts()) or (self,)
-        self._beginnings = [part.begin() for part in self._parts if part is not self]
         sizes = problem.world
         self._sizes = Sizes(
             robots=sizes.robots,
@@ -159,6 +159,13 @@ class Discovery:
         if done < self.problem.stage(index).ppo.updates:
             return replace(snapshot, train=train), rows
         return self._conclude(snapshot, train.policy), rows
+
+    @functools.cached_property
+    def _beginnings(self) -> list[Snapshot]:
+        # Not drawn before it is trained from, so that whoever only opens a run does not wait for it; with its numbers
+        # even where only shapes are asked for, as these are kept.
+        with jax.ensure_compile_time_eval():
+            return [part.begin() for part in self._parts if part is not self]
 
     def _sources(self, snapshot: Snapshot) -> list[Snapshot]:
         """Returns where each part's training begins: among several swarm sizes there are no restarts."""

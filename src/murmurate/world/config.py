@@ -57,7 +57,7 @@ def grown(config: WorldConfig, robots: int) -> WorldConfig:
     """Returns the same world for a swarm of another size: its robots are the same, its sides and the scan radius grow.
 
     The paper's worlds have half-sides of 20 + 2.5 N. The smallest ring of robots that all see each other grows as N^2,
-    and so do worlds beyond 23 robots, so that there is room for it at any size.
+    and at 20 robots the half-side is 2.3 times its radius. Beyond, it stays so: there is room for it at any size.
 
     Args:
         config: The world.
@@ -78,4 +78,4 @@ def grown(config: WorldConfig, robots: int) -> WorldConfig:
 
 
 def _room(robots: int) -> float:
-    return max(20 + 2.5 * robots, 0.15 * robots**2)
+    return max(20 + 2.5 * robots, 0.175 * robots**2)

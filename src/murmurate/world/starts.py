@@ -331,6 +331,10 @@ def check_configurations(points: Float[np.ndarray, "starts robots 2"], world: Wo
             raise InputError(f"{source}: start {index}", "overlapping robots", f"more than {2 * world.radius:g} apart")
 
 
+SPARSE = 0.05
+"""Share of the world that discs may cover to be sure to fit anywhere at random: they jam at eleven times as much."""
+
+
 def make_start(config: StartConfig, world: WorldConfig) -> Start:
     """Builds the start that a configuration describes.
 
@@ -353,8 +357,12 @@ def make_start(config: StartConfig, world: WorldConfig) -> Start:
 
 def _check_possible(start: Start, config: StartConfig, world: WorldConfig) -> None:
     """Draws a few starts with a bounded number of redraws, so that an impossible one fails instead of hanging."""
-    trial = _trial(start)
-    if bool((clearances(trial, world.radius) <= 0).any()):
+    discs = world.robots * np.pi * world.radius**2
+    if config.kind == "random" and discs < SPARSE * 4 * world.half_width * world.half_height:
+        return
+    # NumPy's: of JAX, each operation would be compiled for each size of swarm.
+    trial = np.asarray(_trial(start))
+    if (clearances(trial, world.radius) <= 0).any():
         raise InputError("world.robots", world.robots, f"few enough to fit the {config.kind} start without overlap")
 
 
