@@ -30,6 +30,9 @@ MANY = 30
 
 _WIDE, _HIGH = 2.45, 1.9
 
+MOST_NUMBERS = 12
+"""Swarm sizes that a panel has room to name."""
+
 
 def comparison_figure(rows: Sequence[Row]) -> Figure:
     """Draws the share of valid patterns against the swarm size: a panel for each sensing and scheduler.
@@ -144,7 +147,10 @@ def _draw_panel(ax: Axes, rows: Sequence[Row], methods: Sequence[str]) -> None:
         )
     ax.set_ylim(-4, 104)
     ax.set_xlim(-0.5, len(sizes) - 0.5)
-    ax.set_xticks(range(len(sizes)), [str(robots) for robots in sizes])
+    # Where there is no room for every number, every other one, the last among them.
+    apart = -(-len(sizes) // MOST_NUMBERS)
+    named = [str(robots) if (len(sizes) - 1 - place) % apart == 0 else "" for place, robots in enumerate(sizes)]
+    ax.set_xticks(range(len(sizes)), named)
 
 
 def _draw_failure(ax: Axes, points: np.ndarray, radius: float, scan_radius: float, free: bool) -> None:
