@@ -33,7 +33,7 @@ def test_the_weights_are_small_and_whole():
             assert (run.experiment.objective, run.experiment.sensing.kind) == (objective, sensing)
             assert run.experiment.sensing.rotation
             assert run.experiment.sensing.reflection
-            assert set(run.experiment.sizes) <= set(range(3, 21))
+            assert set(run.experiment.sizes) <= set(range(3, 29))
 
 
 def test_damaged_weights_are_refused(tmp_path, monkeypatch):
@@ -80,20 +80,20 @@ def test_unknown_weights_list_the_known_ones(choice, line):
 
 def test_a_size_beyond_training_warns_once_and_goes_on():
     run = murmurate.pretrained()
-    with pytest.warns(BeyondTrainingWarning, match="robots = 24: trained were swarms of 3 to 20"):
-        larger = run.of_size(24)
+    with pytest.warns(BeyondTrainingWarning, match="robots = 30: trained were swarms of 3 to 28"):
+        larger = run.of_size(30)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert larger.rollout(1).positions.shape[2] == 24
+        assert larger.rollout(1).positions.shape[2] == 30
         run.of_size(9)
 
 
 def test_the_command_line_warns_in_one_line(tmp_path, capsys):
-    words = ["compare", "--methods", "learned", "--robots", "22", "--episodes", "1", "--out", str(tmp_path / "out")]
+    words = ["compare", "--methods", "learned", "--robots", "30", "--episodes", "1", "--out", str(tmp_path / "out")]
     assert main(words) == 0
     assert (
         capsys.readouterr().err
-        == "murmurate: warning: robots = 22: trained were swarms of 3 to 20; others may do worse\n"
+        == "murmurate: warning: robots = 30: trained were swarms of 3 to 28; others may do worse\n"
     )
 
 

@@ -84,6 +84,7 @@ def test_a_run_is_executed_in_a_swarm_of_any_size(run):
     far = run.experiment.of_size(64)
     factor = far.world.half_width / run.experiment.world.half_width
     assert far.rest.max_steps == pytest.approx(run.experiment.rest.max_steps * factor, abs=1)
+    assert far.rest.window == pytest.approx(run.experiment.rest.window * factor, abs=1)
     assert far.rest.tolerance == pytest.approx(run.experiment.rest.tolerance / factor)
     # In a smaller world there is as much time as ever.
     assert run.experiment.of_size(2).rest == run.experiment.rest

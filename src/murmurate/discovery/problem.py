@@ -54,7 +54,7 @@ class Problem:
         """Returns the same problem for a swarm of another size, in a world grown to it.
 
         In a larger world the objective changes by less where robots move as far: what counts as rest is as much less,
-        and there is as much more time to come to it.
+        must last as much longer, and there is as much more time to come to it.
 
         Raises:
             InputError: There are too few or too many robots.
@@ -63,6 +63,7 @@ class Problem:
         factor = max(world.half_width / self.world.half_width, 1.0)
         rest = replace(
             rest,
+            window=math.ceil(rest.window * factor),
             tolerance=rest.tolerance / factor,
             switch_tolerance=rest.switch_tolerance / factor,
             max_steps=math.ceil(rest.max_steps * factor),
