@@ -25,8 +25,8 @@ from murmurate.world.signals import gathering_signal
 
 __all__ = ["LARGEST", "Program", "cascade", "objective", "policy"]
 
-LARGEST = 1024
-"""Largest swarm that a cascade for any number of robots knows the world of."""
+LARGEST = 256
+"""Largest swarm that a cascade for any number of robots serves: its memory holds that swarm's window of rest."""
 
 _CHARGE, _SINCE, _OBJECTIVE, _CHANGES = 0, 1, 2, 3
 """Columns of a cascade's memory; the changes fill the rest."""
@@ -73,6 +73,7 @@ class _Scale(NamedTuple):
     tolerance: Any
     switch_tolerance: Any
     max_steps: Any
+    window: Any
 
 
 def policy(run: Run, index: int) -> Program:
@@ -116,12 +117,12 @@ def cascade(run: Run) -> Program:
             )
         return policy(run, 0)
     scale = _scale(run)
-    count, width = len(policies), run.experiment.rest_in_steps.window
+    count, width = len(policies), _longest_window(run)
 
     def step(positions: Array, memory: Array) -> tuple[Array, Array]:
         inner, sizes = _batch_last(positions), scale(positions.shape[1])
         now = _objective(run, inner, sizes)
-        charge, since, changes = _remembered(memory, now, count, width, sizes)
+        charge, since, changes = _remembered(memory, now, count, sizes)
         velocities = jnp.zeros_like(inner)
         for index, one in enumerate(policies):
             velocities = jnp.where(charge == index, one(inner), velocities)
@@ -171,7 +172,7 @@ def _local(chosen: LocalPolicy, run: Run, about: dict[str, str]) -> Program:
     return Program(act, inputs, ("velocity",), {**about, **told})
 
 
-def _remembered(memory: Array, objective: Array, count: int, width: int, sizes: _Scale) -> tuple[Array, Array, Array]:
+def _remembered(memory: Array, objective: Array, count: int, sizes: _Scale) -> tuple[Array, Array, Array]:
     """Says which policy is in charge now, for how many steps it has been, and the last changes of the objective.
 
     As `discovery.cascade` does it, but a step later: a change is known when the next configuration is.
@@ -182,7 +183,10 @@ def _remembered(memory: Array, objective: Array, count: int, width: int, sizes: 
     shifted = jnp.concatenate([changes[:, 1:], change[:, None]], axis=1)
     last = charge == count - 1
     tolerance = jnp.where(last, sizes.tolerance, sizes.switch_tolerance)
-    rested = (since >= width) & (jnp.mean(shifted, axis=1) < tolerance)
+    width = shifted.shape[1]
+    in_window = jnp.arange(width) >= width - sizes.window
+    mean = jnp.sum(jnp.where(in_window, shifted, 0.0), axis=1) / sizes.window
+    rested = (since >= sizes.window) & (mean < tolerance)
     over = begun & (charge < count) & (rested | (since >= sizes.max_steps))
     return charge + over, jnp.where(over, 0.0, since), jnp.where(begun[:, None], shifted, changes)
 
@@ -217,6 +221,7 @@ def _scale(run: Run) -> Callable[[Any], _Scale]:
             rest.tolerance,
             rest.switch_tolerance,
             rest.max_steps,
+            rest.window,
         )
 
     if isinstance(_robots(run), int):
@@ -228,6 +233,12 @@ def _scale(run: Run) -> Callable[[Any], _Scale]:
         return _Scale(*jnp.asarray(table)[jnp.asarray(robots) - 2])
 
     return looked_up
+
+
+def _longest_window(run: Run) -> int:
+    """Returns over how many steps the largest swarm that the model serves has to rest."""
+    largest = run.experiment if isinstance(_robots(run), int) else run.experiment.of_size(LARGEST)
+    return largest.rest_in_steps.window
 
 
 def _robots(run: Run) -> int | str:
