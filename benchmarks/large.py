@@ -1,0 +1,83 @@
+"""What every signal of one large swarm costs, and how that grows: `python -m benchmarks.large`.
+
+Robots stand at random, each in its cell of a grid 6 radii wide, discs apart; sizes take turns, and the median of the
+rounds counts. Beside it, up to 256 robots, the kernel that asks each robot about every other.
+"""
+
+from __future__ import annotations
+
+import argparse
+import functools
+import math
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from benchmarks.timing import Case, measure
+from murmurate.geometry import visibility
+from murmurate.world import signals
+
+SIZES = (32, 64, 128, 256, 512, 1000, 1024)
+DIRECT = (128, 256)
+"""Sizes at which the direct kernel is timed too; its program grows with the swarm."""
+FITTED = (128, 256, 512, 1024)
+RADIUS = 1.0
+
+
+def swarm(robots: int) -> tuple[jax.Array, float]:
+    """Returns positions whose discs are apart, and the world's half side."""
+    rng, across = np.random.default_rng(robots), math.ceil(math.sqrt(robots))
+    half, side = 3 * math.sqrt(robots), 6 * math.sqrt(robots) / across
+    cells = np.stack(np.divmod(rng.permutation(across**2)[:robots], across), axis=-1) * side
+    return jnp.asarray(cells + rng.uniform(0, side - 2.01 * RADIUS, (robots, 2)) - half, jnp.float32), half
+
+
+def signalled(robots: int) -> Callable[[], Any]:
+    positions, half = swarm(robots)
+    measured = functools.partial(
+        signals,
+        gathering="nclose",
+        half_width=half,
+        half_height=half,
+        radius=RADIUS,
+        scan_radius=4 * half,
+        safe_distance=5.0,
+    )
+    program = jax.jit(measured)
+    return lambda: program(positions)
+
+
+def directly(robots: int) -> Callable[[], Any]:
+    positions, _ = swarm(robots)
+
+    @jax.jit
+    def program(positions: Any) -> Any:
+        xp, positions = visibility.as_configuration(positions)
+        sight = visibility.sight_of(xp, *visibility.offsets(xp, positions), RADIUS)
+        return visibility.directly(xp, sight)
+
+    return lambda: program(positions)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--repeats", type=int, default=15, help="timed rounds (default: 15)")
+    options = parser.parse_args()
+    cases = [Case(f"{n} robots, all signals", 1, 1, functools.partial(signalled, n)) for n in SIZES]
+    cases += [Case(f"{n} robots, visibility, direct kernel", 1, 1, functools.partial(directly, n)) for n in DIRECT]
+    timings = measure(cases, options.repeats, lambda line: None)
+    print("| one configuration | ms | ± | compiling, s |\n| --- | ---: | ---: | ---: |")
+    for timing in timings:
+        print(f"| {timing.case.name} | {timing.seconds * 1e3:.2f} | {timing.spread:.0%} | {timing.compile:.1f} |")
+    seconds = dict(zip(SIZES, (timing.seconds for timing in timings), strict=False))
+    exponent = np.polyfit(np.log(FITTED), np.log([seconds[n] for n in FITTED]), 1)[0]
+    print(
+        f"\nCost grows as N^{exponent:.2f} from {FITTED[0]} to {FITTED[-1]} robots, by least squares of the logarithms."
+    )
+
+
+if __name__ == "__main__":
+    main()
