@@ -118,6 +118,7 @@ def occluded(positions: Float[Array, "robots 2 *batch"], radius: float) -> Bool[
 
 
 def sight_of(xp: Any, dx: Any, dy: Any, distance: Any, radius: float) -> Sight:
+    """Returns where each robot stands in each other's view: observer (row), observed (column)."""
     safe = xp.where(distance > 0, distance, 1)
     sin = xp.where(distance > radius, radius / safe, 1)
     # A robot does not see itself: an unreachable distance keeps it from ever being the nearer of a pair.
@@ -148,6 +149,7 @@ def _occluded(xp: Any, dx: Any, dy: Any, distance: Any, radius: float) -> Any:
 
 
 def directly(xp: Any, sight: Sight) -> Any:
+    """Says who is occluded by asking about every robot, as `sweep` says it of large swarms."""
     # One robot after another instead of a reduction over a third axis: no N^3 array, and XLA's CPU backend vectorises
     # this along the batch, which it does not do for a reduction over a middle axis.
     return functools.reduce(operator.or_, map(_shadows(xp, sight), range(sight.reach.shape[0])))
