@@ -1,0 +1,164 @@
+"""Sweeps by the command, with real workers: on this machine's cores, and by submitit."""
+
+from __future__ import annotations
+
+import csv
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+import murmurate
+from murmurate.experiments import storage, tables
+from murmurate.sweeps import plan
+from murmurate.sweeps.backend import Share
+from murmurate.sweeps.conduct import conduct, standing
+from tiny import write_toml
+
+LONG = {"base": {"ppo": {"updates": 150}}, "discovery": {"chunk": 2, "min_policies": 1, "max_policies": 1}}
+"""Some seconds of training with many checkpoints: time to be killed in."""
+
+TWO = 'experiments = ["long.toml"]\nseeds = 2\n'
+
+
+@pytest.fixture
+def folder(tmp_path):
+    write_toml(tmp_path / "long.toml", name="long", **LONG)
+    (tmp_path / "sweep.toml").write_text(TWO)
+    return tmp_path
+
+
+def words(folder, *options):
+    command = [sys.executable, "-m", "murmurate", "sweep", str(folder / "sweep.toml"), "--out", str(folder / "out")]
+    return [*command, "--workers", "2", *options]
+
+
+def finish(folder, *options):
+    ended = subprocess.run(words(folder, *options), capture_output=True, text=True, timeout=300, check=False)
+    assert ended.returncode in (0, 3), ended.stderr + ended.stdout
+    return ended.stdout, table(folder / "out")
+
+
+def table(out):
+    with (out / "results.csv").open() as file:
+        return {row["run"]: row for row in csv.DictReader(file)}
+
+
+def wait_for(condition, seconds=120):
+    until = time.monotonic() + seconds
+    while not (found := condition()):
+        assert time.monotonic() < until
+        time.sleep(0.05)
+    return found
+
+
+def workers(out):
+    """Numbers of the processes that train a run of a folder, by the run."""
+    found = {}
+    for process in Path("/proc").glob("[0-9]*"):
+        try:
+            opened = {os.readlink(path) for path in (process / "fd").iterdir()}
+            command = (process / "cmdline").read_bytes()
+        except OSError:
+            continue
+        for log in opened & {str(path) for path in out.glob("*/worker.log")}:
+            if b"sweeps.worker" in command:
+                found[Path(log).parent.name] = int(process.name)
+    return found
+
+
+def begun(out):
+    """The runs that have written a checkpoint and metrics, and are not finished."""
+    return [path.parent.name for path in out.glob("*/metrics.jsonl") if not (path.parent / "manifest.json").exists()]
+
+
+def same(one, other):
+    return all(
+        (one / name).read_bytes() == (other / name).read_bytes()
+        for name in ("experiment.toml", "policies/0-base.safetensors")
+    )
+
+
+def killed_in_the_middle(folder, *options):
+    """Runs a sweep, kills one of its workers when it has got somewhere, and returns which and what was printed."""
+    out = folder / "out"
+    with subprocess.Popen(
+        words(folder, *options), stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    ) as sweep:
+        (name, process) = wait_for(lambda: [item for item in workers(out).items() if item[0] in begun(out)])[0]
+        os.kill(process, signal.SIGKILL)
+        printed, _ = sweep.communicate(timeout=300)
+    assert sweep.returncode in (0, 3), printed
+    return name, printed
+
+
+def test_a_killed_worker_costs_nothing_and_changes_nothing(folder):
+    killed, printed = killed_in_the_middle(folder)
+    assert f"{killed}: to be tried again, attempt 1 failed: killed by SIGKILL" in printed
+    rows = table(folder / "out")
+    assert {row["status"] for row in rows.values()} == {"done"}
+    assert {name: int(row["attempts"]) for name, row in rows.items()} == {
+        name: 2 if name == killed else 1 for name in rows
+    }
+    (folder / "again").mkdir()
+    write_toml(folder / "again" / "long.toml", name="long", **LONG)
+    (folder / "again" / "sweep.toml").write_text(TWO)
+    finish(folder / "again")
+    for name in rows:
+        assert same(folder / "out" / name, folder / "again" / "out" / name)
+        murmurate.load(folder / "out" / name)
+        assert not (folder / "out" / name / "worker.log").exists()
+
+
+def test_an_interrupted_sweep_leaves_nobody_behind_and_goes_on(folder):
+    out = folder / "out"
+    with subprocess.Popen(words(folder), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as sweep:
+        wait_for(lambda: begun(out))
+        twin = subprocess.run(words(folder), capture_output=True, text=True, check=False)
+        assert twin.returncode == 2
+        assert "another sweep is at work there" in twin.stderr
+        sweep.send_signal(signal.SIGINT)
+        _, told = sweep.communicate(timeout=60)
+    assert sweep.returncode == 130
+    assert told.strip().endswith("interrupted; the same command goes on")
+    assert not workers(out)
+    assert "unfinished" in {row["status"] for row in table(out).values()}
+    printed, rows = finish(folder)
+    assert {row["status"] for row in rows.values()} == {"done"}
+    assert f"table: {out / 'results.csv'}" in printed
+
+
+def test_three_experiments_with_two_seeds_end_in_one_table(tmp_path):
+    for name in ("one", "two", "three"):
+        write_toml(tmp_path / f"{name}.toml", name=name)
+    (tmp_path / "sweep.toml").write_text('experiments = ["one.toml", "two.toml", "three.toml"]\nseeds = 2\n')
+    printed, rows = finish(tmp_path, "--parquet")
+    assert len(rows) == 6
+    assert {(row["experiment"], row["seed"], row["status"]) for row in rows.values()} == {
+        (name, seed, "done") for name in ("one", "two", "three") for seed in ("0", "1")
+    }
+    for name, row in rows.items():
+        assert float(row["valid"]) == tables.read_evaluation(tmp_path / "out" / name)["valid"]
+        assert f"| {name} |" in printed
+    from pyarrow import parquet
+
+    assert parquet.read_table(tmp_path / "out" / "results.parquet").column("run").to_pylist() == list(rows)
+
+
+def test_submitit_carries_a_run_to_its_end(tmp_path):
+    """With submitit's executor for one machine: a Slurm to submit to is not at hand."""
+    from murmurate.sweeps.slurm import Slurm
+
+    write_toml(tmp_path / "tiny.toml")
+    (tmp_path / "sweep.toml").write_text('experiments = ["tiny.toml"]\n')
+    out = tmp_path / "out"
+    folders = plan.lay_out(plan.read_sweep(tmp_path / "sweep.toml"), out)
+    standings = {name: standing(path) for name, path in folders.items()}
+    conduct(folders, standings, Slurm(out, None, Share(), {}, cluster="local"), 0, lambda name: None)
+    assert [(s.status, s.error) for s in standings.values()] == [("done", "")]
+    for path in folders.values():
+        storage.verify(path, storage.read_manifest(path))
