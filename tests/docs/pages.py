@@ -15,7 +15,9 @@ from markdown_it import MarkdownIt
 from markdown_it.token import Token
 
 from murmurate.cli.main import VERBS, main
+from murmurate.cli.sweep import _parser
 from murmurate.experiments import presets
+from murmurate.sweeps.plan import read_sweep
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -71,12 +73,15 @@ class Reader:
         exec(compile(code, self.page, "exec", dont_inherit=True), self.scope)
 
     def toml(self, text: str) -> None:
-        """Saves an experiment under the name that its first line gives, and resolves it."""
+        """Saves an experiment or a sweep under the name that its first line gives, and resolves it."""
         name = re.match(r"# ([\w-]+\.toml)\n", text)
         assert name, f"{self.page}: the first line of a block of TOML is `# name.toml`"
         path = self.folder / name[1]
         path.write_text(text, "utf-8")
-        presets.resolve(str(path))
+        if "experiments" in tomllib.loads(text):
+            read_sweep(path)
+        else:
+            presets.resolve(str(path))
 
     def shell(self, text: str) -> None:
         """Tries every command: ours are executed, of others it is checked that what they name exists."""
@@ -96,6 +101,10 @@ class Reader:
     def murmurate(self, words: list[str]) -> None:
         """Executes one of our commands, with a small budget where it would train or run a thousand starts."""
         assert words[0] in VERBS, f"{self.page}: no verb {words[0]}"
+        if words[0] == "sweep":  # which the tests of sweeps carry out
+            _parser().parse(words[1:])
+            read_sweep(self.folder / words[1])
+            return
         small: list[str] = []
         if words[0] == "discover":
             # Of the policies, central compiles fastest; the others, in swarms of three.
