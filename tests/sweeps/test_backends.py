@@ -1,4 +1,4 @@
-"""Sweeps by the command, with real workers: on this machine's cores, and by submitit."""
+"""Sweeps by the command, with real workers: on this machine's cores, on a Ray of two workers, and by submitit."""
 
 from __future__ import annotations
 
@@ -83,14 +83,18 @@ def same(one, other):
     )
 
 
-def killed_in_the_middle(folder, *options):
+def parent(process):
+    return int(Path(f"/proc/{process}/stat").read_text().rsplit(")")[-1].split()[1])
+
+
+def killed_in_the_middle(folder, *options, whom=lambda process: process):
     """Runs a sweep, kills one of its workers when it has got somewhere, and returns which and what was printed."""
     out = folder / "out"
     with subprocess.Popen(
         words(folder, *options), stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
     ) as sweep:
         (name, process) = wait_for(lambda: [item for item in workers(out).items() if item[0] in begun(out)])[0]
-        os.kill(process, signal.SIGKILL)
+        os.kill(whom(process), signal.SIGKILL)
         printed, _ = sweep.communicate(timeout=300)
     assert sweep.returncode in (0, 3), printed
     return name, printed
@@ -147,6 +151,24 @@ def test_three_experiments_with_two_seeds_end_in_one_table(tmp_path):
     from pyarrow import parquet
 
     assert parquet.read_table(tmp_path / "out" / "results.parquet").column("run").to_pylist() == list(rows)
+
+
+def test_ray_with_two_workers_one_of_which_is_killed(folder):
+    killed, printed = killed_in_the_middle(folder, "--backend", "ray", whom=parent)
+    assert f"{killed}: to be tried again, attempt 1 failed: the worker died" in printed
+    assert {row["status"] for row in table(folder / "out").values()} == {"done"}
+    assert not workers(folder / "out")
+
+
+def test_no_cluster_at_an_address_is_told_within_half_a_minute(folder):
+    start = time.monotonic()
+    command = [*words(folder), "--backend", "ray", "--address", "127.0.0.1:1"]
+    ended = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert time.monotonic() - start < 30
+    assert ended.returncode == 2
+    assert "--address = '127.0.0.1:1': must be the address of a Ray cluster" in ended.stderr
+    assert "Traceback" not in ended.stderr
+    assert not (folder / "out").exists()
 
 
 def test_submitit_carries_a_run_to_its_end(tmp_path):

@@ -1,4 +1,4 @@
-"""`murmurate sweep`: many runs, on this machine's cores or on Slurm, and one table of what came of them."""
+"""`murmurate sweep`: many runs, on this machine's cores, on Ray or on Slurm, and one table of what came of them."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ NOTHING_VALID = 3
 FAILED = 4
 
 LOCK = ".lock"
-BACKENDS = ("local", "slurm")
+BACKENDS = ("local", "ray", "slurm")
 RETRIES, MOST = 2, 1000
 
 
@@ -39,8 +39,9 @@ def run(argv: Sequence[str]) -> int:
     check_number("--retries", options.retries, 0, MOST, integer=True)
     if options.workers is not None:
         check_number("--workers", options.workers, 1, MOST, integer=True)
-    if options.slurm and options.backend != "slurm":
-        raise UsageError("--slurm is for --backend slurm")
+    for name in ("address", "slurm"):
+        if getattr(options, name) and options.backend != (of := "ray" if name == "address" else name):
+            raise UsageError(f"--{name} is for --backend {of}")
     import jax
 
     jax.config.update("jax_platforms", "cpu")  # the GPUs are for the workers
@@ -51,8 +52,8 @@ def run(argv: Sequence[str]) -> int:
     sweep = plan.read_sweep(options.sweep)
     out = Path(options.out or Path("runs") / Path(options.sweep).stem)
     plan.check(sweep, out)
-    with _terminable(), _alone(out):
-        return _conduct(options, sweep, out)
+    with _terminable(), contextlib.closing(_backend(options, out)) as backend, _alone(out):
+        return _conduct(options, sweep, out, backend)
 
 
 def _parser() -> Parser:
@@ -61,7 +62,7 @@ def _parser() -> Parser:
         "sweep", metavar="SWEEP.toml", help="which runs: experiments, learners, seeds, a grid of fields"
     )
     parser.add_argument("--out", metavar="DIR", help="folder of all runs and the table (default: runs/SWEEP)")
-    where = "where runs are trained: here, or on Slurm, which is an extra (default: local)"
+    where = "where runs are trained: here, or on Ray or Slurm, each an extra (default: local)"
     parser.add_argument("--backend", metavar=f"{{{','.join(BACKENDS)}}}", default=BACKENDS[0], help=where)
     most = "most runs at once (default: one a core, or a GPU; on a cluster, what its queue allows)"
     parser.add_argument("--workers", type=int, metavar="INT", help=most)
@@ -70,6 +71,8 @@ def _parser() -> Parser:
     parser.add_argument("--threads", type=int, metavar="INT", default=1, help="cores for each run (default: 1)")
     text = "GPUs for each run (default: 0, which trains on the CPU)"
     parser.add_argument("--gpus", type=int, metavar="INT", default=0, help=text)
+    text = "address of a Ray cluster, or auto (default: one of this machine's own)"
+    parser.add_argument("--address", metavar="HOST:PORT", help=text)
     text = "what sbatch is told, such as partition=short; may be given several times"
     parser.add_argument("--slurm", action="append", default=[], metavar="KEY=VALUE", help=text)
     text = "write the table as results.parquet as well (needs the parquet extra)"
@@ -87,23 +90,22 @@ def _backend(options: Namespace, out: Path) -> Backend:
         from murmurate.sweeps.local import Local
 
         return Local(options.workers, share)
+    if options.backend == "ray":
+        from murmurate.sweeps.ray import Ray
+
+        return Ray(options.address, options.workers, share)
     from murmurate.sweeps.slurm import Slurm, read_options
 
     return Slurm(out, options.workers, share, read_options(options.slurm))
 
 
-def _conduct(options: Namespace, sweep: Any, out: Path) -> int:
+def _conduct(options: Namespace, sweep: Any, out: Path, backend: Backend) -> int:
     from murmurate.sweeps import plan
     from murmurate.sweeps.board import Board
     from murmurate.sweeps.conduct import conduct, standing
 
-    backend = _backend(options, out)
-    try:
-        folders = plan.lay_out(sweep, out)
-        standings = {name: standing(folder) for name, folder in folders.items()}
-    except BaseException:
-        backend.close()
-        raise
+    folders = plan.lay_out(sweep, out)
+    standings = {name: standing(folder) for name, folder in folders.items()}
     done = sum(one.status == "done" for one in standings.values())
     print(f"{len(folders)} runs in {out}: {done} finished, {len(folders) - done} to train", flush=True)
     try:

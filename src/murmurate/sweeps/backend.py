@@ -1,4 +1,4 @@
-"""Who trains the runs of a sweep: the one interface that this machine and Slurm have in common.
+"""Who trains the runs of a sweep: the one interface that this machine, Ray and Slurm have in common.
 
 What a worker is told is the path of a run folder, and all that it has to say stands in that folder: the backend only
 starts it, says when it has ended, and ends it early.

@@ -53,7 +53,7 @@ def conduct(
     Args:
         folders: The run folders by name.
         standings: How the runs stand; kept up to date, so that whoever holds it knows even after an interruption.
-        backend: Where workers run; closed in the end.
+        backend: Where workers run.
         retries: How often a run that failed is tried again, from its checkpoint.
         tell: Called with the name of a run whenever a worker at it has ended.
         look: Called several times a second.
@@ -85,7 +85,6 @@ def conduct(
     finally:
         for job in jobs.values():
             job.cancel()
-        backend.close()
 
 
 def _ended(now: Standing, folder: Path, reason: str, retries: int) -> Standing:

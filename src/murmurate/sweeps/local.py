@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
-import signal
 import subprocess
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 
 from murmurate.errors import InputError, check_number
 from murmurate.sweeps.backend import Share, cores
-from murmurate.sweeps.worker import LOG
+from murmurate.sweeps.process import reason, start
 
 __all__ = ["Local"]
 
@@ -45,19 +42,8 @@ class Local:
     def submit(self, folder: Path) -> Process:
         """Starts a worker."""
         place = self._places.pop()
-        words = ["--threads", str(self._share.threads), "--gpus", str(self._share.gpus)]
-        environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
-        if place:
-            environment["CUDA_VISIBLE_DEVICES"] = ",".join(place)
-        with (folder / LOG).open("ab") as log:
-            process = subprocess.Popen(
-                [sys.executable, "-P", "-m", "murmurate.sweeps.worker", str(folder.resolve()), *words],
-                env=environment,
-                stdin=subprocess.PIPE,
-                stdout=log,
-                stderr=log,
-                start_new_session=True,  # an interrupt at the terminal is for us, who end the workers
-            )
+        environment = {"CUDA_VISIBLE_DEVICES": ",".join(place)} if place else {}
+        process = start(folder.resolve(), self._share, environment)
         return Process(process, folder, place, self._places)
 
     def close(self) -> None:
@@ -86,10 +72,7 @@ class Process:
         if status is None:
             return None
         self._leave()
-        if status < 0:
-            with contextlib.suppress(ValueError):
-                return f"killed by {signal.Signals(-status).name}"
-        return "" if status == 0 else _last_line(self.folder / LOG) or f"the worker ended with status {status}"
+        return reason(status, self.folder)
 
     def cancel(self) -> None:
         """Ends it, and waits until it has."""
@@ -113,12 +96,3 @@ def _devices() -> list[str]:
     if visible is not None:
         return [device for device in visible.split(",") if device.strip()]
     return [str(place) for place, _ in enumerate(Path("/dev").glob("nvidia[0-9]*"))]
-
-
-def _last_line(path: Path) -> str:
-    """Returns the last words of a worker."""
-    try:
-        lines = path.read_text(errors="replace").split("\n")
-    except OSError:
-        return ""
-    return next((line.strip() for line in reversed(lines) if line.strip()), "")

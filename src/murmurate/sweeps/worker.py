@@ -1,6 +1,6 @@
 """What a worker does, on whatever machine: it trains one run, whose folder says all that there is to know.
 
-`python -m murmurate.sweeps.worker FOLDER` is a worker of the backend `local`; Slurm calls `train`.
+`python -m murmurate.sweeps.worker FOLDER` is a worker of the backends `local` and `ray`; Slurm calls `train`.
 
 Nothing is imported at the top that loads JAX, which reads the environment when it is loaded.
 """
