@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import fcntl
 import os
 import signal
 import subprocess
@@ -13,6 +14,7 @@ from pathlib import Path
 import pytest
 
 import murmurate
+from murmurate.cli.main import main
 from murmurate.experiments import storage, tables
 from murmurate.sweeps import plan
 from murmurate.sweeps.backend import Share
@@ -122,9 +124,6 @@ def test_an_interrupted_sweep_leaves_nobody_behind_and_goes_on(folder):
     out = folder / "out"
     with subprocess.Popen(words(folder), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as sweep:
         wait_for(lambda: begun(out))
-        twin = subprocess.run(words(folder), capture_output=True, text=True, check=False)
-        assert twin.returncode == 2
-        assert "another sweep is at work there" in twin.stderr
         sweep.send_signal(signal.SIGINT)
         _, told = sweep.communicate(timeout=60)
     assert sweep.returncode == 130
@@ -134,6 +133,15 @@ def test_an_interrupted_sweep_leaves_nobody_behind_and_goes_on(folder):
     printed, rows = finish(folder)
     assert {row["status"] for row in rows.values()} == {"done"}
     assert f"table: {out / 'results.csv'}" in printed
+
+
+def test_two_sweeps_never_work_in_one_folder(folder, capsys):
+    (folder / "out").mkdir()
+    with (folder / "out" / ".lock").open("a") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        assert main(["sweep", str(folder / "sweep.toml"), "--out", str(folder / "out")]) == 2
+    assert "another sweep is at work there" in capsys.readouterr().err
+    assert os.listdir(folder / "out") == [".lock"]
 
 
 def test_three_experiments_with_two_seeds_end_in_one_table(tmp_path):
