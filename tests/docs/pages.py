@@ -14,6 +14,7 @@ from typing import Any
 from markdown_it import MarkdownIt
 from markdown_it.token import Token
 
+from murmurate.cli import discover
 from murmurate.cli.main import VERBS, main
 from murmurate.cli.sweep import _parser
 from murmurate.experiments import presets
@@ -91,6 +92,8 @@ class Reader:
                 words = words[1:]
             if not words:
                 continue
+            if words[0] == "srun":
+                words = words[words.index("murmurate") :]
             program = words[0].removeprefix(".venv/bin/")
             if program == "murmurate":
                 self.murmurate(words[1:])
@@ -104,6 +107,9 @@ class Reader:
         if words[0] == "sweep":  # which the tests of sweeps carry out
             _parser().parse(words[1:])
             read_sweep(self.folder / words[1])
+            return
+        if "--hosts" in words:  # which the tests of devices carry out
+            discover._parser("C").parse(words[1:])
             return
         small: list[str] = []
         if words[0] == "discover":

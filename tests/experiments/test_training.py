@@ -60,7 +60,7 @@ def test_a_finished_run_holds_all_its_parts(finished):
     manifest = storage.read_manifest(finished)
     storage.verify(finished, manifest)
     assert set(manifest) == {
-        *("format", "murmurate", "versions", "platform", "device", "seed", "experiment", "robots"),
+        *("format", "murmurate", "versions", "platform", "device", "devices", "seed", "experiment", "robots"),
         *("outcome", "policies", "environment_steps", "train_seconds", "checksums"),
     }
     assert manifest["policies"] == ["base", "auxiliary"]

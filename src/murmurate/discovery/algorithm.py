@@ -16,7 +16,17 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from murmurate.discovery.cascade import Cascade
 from murmurate.discovery.problem import Problem
 from murmurate.discovery.validity import judge
-from murmurate.learning import Chunk, Hyperparameters, Repeated, Shape, TrainState, init, train_together
+from murmurate.learning import (
+    Chunk,
+    Hyperparameters,
+    Repeated,
+    Shape,
+    TrainState,
+    check_divides,
+    hosts,
+    init,
+    train_together,
+)
 from murmurate.policies import Sizes, make_networks
 from murmurate.world import (
     Anywhere,
@@ -90,6 +100,21 @@ class Discovery:
             max_speed=sizes.max_speed,
             landmark=problem.objective == "C1",
         )
+
+    def check_devices(self) -> None:
+        """Checks that the devices at hand divide every batch that is trained on.
+
+        Raises:
+            InputError: They do not.
+        """
+        stages = ("base", "auxiliary")[: self.problem.discovery.max_policies]
+        for index, name in enumerate(stages):
+            for part in self._parts:
+                ppo = part.problem.stage(index).ppo
+                robots = "" if part is self else f" (swarms of {part.problem.world.robots})"
+                check_divides(f"{name}.ppo.worlds{robots}", ppo.worlds)
+                part_of_pass = ppo.worlds * ppo.steps // ppo.minibatches
+                check_divides(f"{name}.ppo.worlds * steps / minibatches{robots}", part_of_pass)
 
     def begin(self) -> Snapshot:
         """Returns the snapshot before the first policy: sigma is the experiment's start."""
@@ -179,7 +204,8 @@ class Discovery:
         # Every policy's sigma* comes from running the whole list so far from where the base policy was trained.
         source = self._training_world(0, self.begin()).start
         ran = self.cascade(policies).rollout(draw_starts(source, self._draw(index, "sigma"), config.sigma))
-        alive = ran.final[~ran.terminated]
+        final, terminated = hosts.agreed((ran.final, ran.terminated))
+        alive = final[~terminated]
         valid = self.validity(policies, self._draw(index, "evaluation"))
         complete = len(policies) >= config.min_policies and valid >= config.required_valid
         finished = complete or len(policies) == config.max_policies or len(alive) == 0
@@ -195,7 +221,7 @@ class Discovery:
             ).valid
             for part in self._parts
         ]
-        return float(np.concatenate(valid).mean())
+        return float(hosts.agreed(np.concatenate(valid)).mean())
 
     def _draw(self, index: int, purpose: str) -> PRNGKeyArray:
         purposes = ("networks", "training", "sigma", "evaluation", "worlds", "initial")

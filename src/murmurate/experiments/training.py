@@ -14,12 +14,13 @@ import jax
 
 from murmurate import __version__
 from murmurate.discovery import Discovery, advance_together, policy_name
-from murmurate.experiments import checkpoint, storage, trees
+from murmurate.experiments import checkpoint, copies, storage, trees
 from murmurate.experiments import config as configuration
 from murmurate.experiments.checkpoint import Checkpoint
 from murmurate.experiments.config import ExperimentConfig
 from murmurate.experiments.evaluation import EPISODES, evaluate
 from murmurate.experiments.run import METRICS, Run, policy_files
+from murmurate.learning import hosts
 
 __all__ = ["NOTHING_VALID", "VALID", "discover", "discover_together"]
 
@@ -66,6 +67,8 @@ def discover_together(
 
     Meant for an accelerator, which one discovery does not keep busy; on a CPU it takes longer than one after the other.
 
+    On several hosts (`jax.distributed`) all call it alike and the first one's folder is the run's; see `copies`.
+
     Args:
         configs: What to discover, and how, by the run folder.
         resume: Continue what the folders hold.
@@ -77,14 +80,25 @@ def discover_together(
 
     Raises:
         InputError: An experiment is impossible; nothing has been written.
-        RunError: A folder holds another run, is damaged, or cannot be written to.
+        RunError: A folder holds another run, is damaged, or cannot be written to; or another host is gone.
     """
-    tell = on_progress or (lambda *_, **__: None)
-    watch = on_metrics or (lambda folder: None)
+    with hosts.guarded():
+        places = {copies.place(folder, resume): config for folder, config in configs.items()}
+        return _discover(places, resume, on_progress or (lambda *_, **__: None), on_metrics or (lambda folder: None))
+
+
+def _discover(
+    configs: Mapping[Path, ExperimentConfig],
+    resume: bool,
+    tell: Callable[..., None],
+    watch: Callable[[Path], None],
+) -> list[Run]:
     for folder, config in configs.items():
         if storage.look(folder, resume) != "new":
             configuration.check_same(config, folder)
     discoveries = {folder: Discovery(config) for folder, config in configs.items()}
+    for discovery in discoveries.values():
+        discovery.check_devices()
     works = []
     for folder, discovery in discoveries.items():
         if storage.claim(folder, resume) == "finished":
@@ -219,6 +233,7 @@ def _finish(work: _Work, tell: Callable[..., None]) -> Run:
         "versions": storage.versions(),
         "platform": platform.platform(),
         "device": jax.devices()[0].device_kind,
+        "devices": jax.device_count(),
         "seed": config.seed,
         "experiment": config.name,
         "robots": config.world.robots,

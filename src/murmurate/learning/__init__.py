@@ -2,6 +2,7 @@
 
 from murmurate.learning.advantage import generalized_advantage, rewards_to_go
 from murmurate.learning.config import Hyperparameters, PPOConfig, Schedule, Shape, ValueTarget
+from murmurate.learning.devices import check_divides
 from murmurate.learning.environment import Environment, Repeated, Transition, restarting_step
 from murmurate.learning.losses import Batch, policy_loss, value_loss
 from murmurate.learning.ppo import Rollout, TrainState, collect, init, train_chunk
@@ -20,6 +21,7 @@ __all__ = [
     "TrainState",
     "Transition",
     "ValueTarget",
+    "check_divides",
     "collect",
     "generalized_advantage",
     "init",

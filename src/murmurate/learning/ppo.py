@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float, Int, PRNGKeyArray, UInt32
 
+from murmurate.learning import devices
 from murmurate.learning.advantage import generalized_advantage, rewards_to_go
 from murmurate.learning.config import Hyperparameters, Shape
 from murmurate.learning.environment import Environment, Transition, restarting_step
@@ -97,13 +98,13 @@ def _batch(value: Any, rollout: Rollout, hyper: Hyperparameters, shape: Shape) -
 
 
 def _minibatches(batch: Batch, key: PRNGKeyArray, count: int) -> Batch:
-    """Shuffles the steps and deals them into minibatches, on a new first axis."""
+    """Shuffles the steps and deals them into minibatches, on a new first axis; each is spread over the devices."""
     order = jax.random.permutation(key, batch.log_prob.shape[-1])
 
     def deal(x: Array) -> Array:
         return jnp.moveaxis(x[..., order].reshape((*x.shape[:-1], count, -1)), -2, 0)
 
-    return jax.tree.map(deal, batch)
+    return devices.parted(jax.tree.map(deal, batch))
 
 
 def _descend(network: Any, moments: Any, gradient: Any, rate: Any, max_gradient: Any) -> tuple[Any, Any]:
@@ -144,8 +145,9 @@ def _update(
     if hyper.log_std is not None:
         spread = jnp.full_like(state.policy.log_std, hyper.log_std(progress))
         state = eqx.tree_at(lambda s: s.policy.log_std, state, spread)
-    env_state, rollout = collect(env, state.policy, state.env_state, act, shape.steps)
-    batch = _batch(state.value, rollout, hyper, shape)
+    env_state, rollout = devices.parted(collect(env, state.policy, state.env_state, act, shape.steps))
+    # Whole on every device, once: a shuffle takes from everywhere.
+    batch = devices.replicated(_batch(state.value, rollout, hyper, shape))
 
     def epoch(state: TrainState, key: PRNGKeyArray) -> tuple[TrainState, dict[str, Any]]:
         def step(state: TrainState, part: Batch) -> tuple[TrainState, dict[str, Any]]:
@@ -173,6 +175,9 @@ def train_chunk(
 ) -> tuple[TrainState, dict[str, Any]]:
     """Runs some updates without visiting the host.
 
+    With several devices each simulates a part of the batch and computes its part of every gradient; what is returned is
+    whole on each of them.
+
     Args:
         state: Where training stands.
         env: The environment.
@@ -187,4 +192,5 @@ def train_chunk(
     def step(state: TrainState, _: None) -> tuple[TrainState, dict[str, Any]]:
         return _update(state, env, hyper, shape)
 
-    return jax.lax.scan(step, state, None, length=updates)
+    state = eqx.tree_at(lambda s: s.env_state, state, devices.parted(state.env_state))
+    return devices.replicated(jax.lax.scan(step, state, None, length=updates))
