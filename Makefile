@@ -32,9 +32,9 @@ docs: $(VENV)/.installed  ## the documentation site, warnings are errors; into b
 figures-docs: $(VENV)/.installed  ## draws the figures of docs/world.md again
 	$(BIN)/python docs/draw.py
 
-benchmark: $(VENV)/.installed  ## world and training speed beside JaxMARL's; writes docs/benchmarks.md
+benchmark: $(VENV)/.installed  ## speed, limits and memory beside other projects (half an hour); writes docs/benchmarks.md
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[benchmark]'
-	$(BIN)/python -m benchmarks --out docs/benchmarks.md
+	$(BIN)/python -m benchmarks --out docs/benchmarks.md --json docs/benchmarks.json --figure docs/figures/cost.png
 
 results: $(VENV)/.installed  ## trains A-F with both policies and three seeds (hours); writes docs/results.md
 	$(BIN)/python -m benchmarks.results

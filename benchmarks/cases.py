@@ -1,27 +1,50 @@
-"""What is timed: our world, our training of both policies, and JaxMARL's nearest environment beside them."""
+"""What is timed: our world and our training of every policy, beside the machine's ceilings and other projects."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
+from benchmarks import pieces
+from benchmarks.ceilings import Extent, ceiling_cases
+from benchmarks.peers import peer_cases
 from benchmarks.timing import Case
 from murmurate.discovery import Discovery
 from murmurate.experiments import presets
-from murmurate.experiments.config import ExperimentConfig
-from murmurate.learning import restarting_step
+from murmurate.learning import Chunk, restarting_step, train_chunk
+from murmurate.world import Anywhere, SensingConfig, StartConfig, World, WorldConfig, draw_frames, grown, perceive
+from murmurate.world.starts import layout
 
-__all__ = ["JAXMARL", "Size", "all_cases"]
+__all__ = [
+    "RESTARTS",
+    "SENSING",
+    "SIZED",
+    "STEP",
+    "TRAINING",
+    "Size",
+    "all_cases",
+    "batches",
+    "training",
+    "world_cases",
+]
 
-JAXMARL = "JaxMARL `MPE_simple_spread_v3`"
 EXPERIMENT = "C"
+STEP = "world step, all signals"
+RESTARTS = f"{STEP}, ended episodes begun anew"
+SENSING = "sensing: who is visible, in each robot's own frame"
+SIZED = "world"
+TRAINING = "training"
 SPEED = 0.2
 """Bound on the random velocities of the timed steps, as a share of the speed limit: a swarm that stays in the world."""
+
+LARGE = 128
+"""Robots from which on every swarm is also timed in as many worlds as fit into `Size.pairs`."""
 
 
 @dataclass(frozen=True)
@@ -29,32 +52,83 @@ class Size:
     """How much is timed.
 
     Attributes:
-        worlds: Numbers of worlds that step side by side.
-        steps: Steps of each of them in one run.
+        robots: Swarm sizes.
+        worlds: Numbers of worlds that step side by side, where so many fit.
+        pairs: Most pairs of robots of all worlds at a time; a world alone is timed whatever its size.
+        run: Pairs of a run, all steps together, unless it has too few or too many steps.
+        steps: Fewest and most steps of a run.
+        side_by_side: Numbers of worlds in which ten robots are compared with other projects.
         training: Fields of `PPOConfig` to replace in the timed training.
+        updates: Updates of a timed training.
+        extent: How much the machine's ceilings are measured by.
     """
 
-    worlds: Sequence[int] = (256, 1024)
-    steps: int = 200
-    training: dict[str, int] | None = None
+    robots: Sequence[int] = (4, 8, 10, 16, 32, 64, 128, 256, 1024)
+    worlds: Sequence[int] = (1, 16, 256, 1024, 4096)
+    pairs: int = 1 << 20
+    run: int = 1 << 23
+    steps: tuple[int, int] = (2, 400)
+    side_by_side: Sequence[int] = (256, 1024)
+    training: dict[str, int] = field(default_factory=dict)
+    updates: int = 2
+    extent: Extent = field(default_factory=Extent)
+
+    def steps_of(self, robots: int, worlds: int) -> int:
+        """Returns the steps of a run."""
+        return int(np.clip(self.run // (robots**2 * worlds), *self.steps))
 
 
 def all_cases(size: Size) -> list[Case]:
-    """Returns every case; JaxMARL's only where it is installed."""
+    """Returns every case; those of other projects only where they are installed."""
+    cases = ceiling_cases(size.extent) + world_cases(size)
+    for worlds in size.side_by_side:
+        cases.append(stepping(10, worlds, size, restart=True))
+    cases += peer_cases(size.side_by_side, size.steps[1])
+    for kind in ("equivariant", "central", "local"):
+        cases += [training(kind, size), *pieces.piece_cases(kind, lambda kind=kind: chunk(kind, size))]
+    return cases
+
+
+def world_cases(size: Size) -> list[Case]:
+    """Returns the cases of swarms of all sizes: steps in batches of worlds, and sensing in the largest of them."""
     cases = []
-    for worlds in size.worlds:
-        cases += [stepping(worlds, size.steps), stepping(worlds, size.steps, restart=True)]
-        if _jaxmarl():
-            cases.append(jaxmarl_stepping(worlds, size.steps))
-    return cases + [training(kind, size.training or {}) for kind in ("equivariant", "central")]
+    for robots in size.robots:
+        counts = batches(robots, size)
+        cases += [stepping(robots, worlds, size) for worlds in counts]
+        cases.append(sensing(robots, counts[-1], size))
+    return cases
 
 
-def stepping(worlds: int, steps: int, restart: bool = False) -> Case:
-    """The world of ten robots with all its signals, with or without beginning new episodes."""
+def batches(robots: int, size: Size) -> list[int]:
+    """Returns the numbers of worlds that a swarm is timed in, in order."""
+    most = max(size.pairs // robots**2, 1)
+    counts = {1} | {worlds for worlds in size.worlds if worlds <= most}
+    return sorted(counts | {most} if robots >= LARGE else counts)
+
+
+def sized(robots: int) -> World:
+    """The world of the experiment grown to a swarm; it is never asked for fresh starts."""
+    config = grown(presets.preset(EXPERIMENT).world, robots)
+    place = {"half_width": config.half_width, "half_height": config.half_height, "radius": config.radius}
+    world = World.create(config, Anywhere(robots=robots, **place))
+    return jax.tree.map(lambda x: jnp.asarray(x) if isinstance(x, int | float) else x, world)
+
+
+def scattered(robots: int, worlds: int) -> jax.Array:
+    """Swarms around the world's rim, each a little different; on the way in, as in any training, nobody is far."""
+    config: WorldConfig = grown(presets.preset(EXPERIMENT).world, robots)
+    points = layout(StartConfig(kind="scattered"), config).astype(np.float32)[..., None]
+    noise = np.random.default_rng(0).uniform(-1, 1, (robots, 2, worlds)).astype(np.float32)
+    return jnp.asarray(0.8 * points + config.radius * noise)
+
+
+def stepping(robots: int, worlds: int, size: Size, restart: bool = False) -> Case:
+    """The world with all its signals, with or without beginning new episodes."""
+    steps = size.steps_of(robots, worlds)
 
     def prepare() -> Callable[[], Any]:
-        world = Discovery(presets.preset(EXPERIMENT)).world
-        state = jax.jit(lambda world, key: world.reset_batch(key, worlds))(world, jax.random.key(0))
+        world = Discovery(presets.preset(EXPERIMENT)).world if restart else sized(robots)
+        state = jax.jit(lambda world, positions: world.state(positions))(world, scattered(robots, worlds))
         # Episodes of all ages, so that some end at every step.
         ages = jax.random.randint(jax.random.key(1), (worlds,), 0, world.horizon, jnp.int32)
         state = eqx.tree_at(lambda s: s.step, state, ages)
@@ -71,52 +145,55 @@ def stepping(worlds: int, steps: int, restart: bool = False) -> Case:
 
         return lambda: run(world, state, velocities, keys)
 
-    name = "world step, all signals" + (", ended episodes begun anew" if restart else "")
-    return Case(name, worlds, worlds * steps, prepare)
+    return Case(SIZED, RESTARTS if restart else STEP, worlds * steps, prepare, robots, worlds)
 
 
-def training(kind: str, numbers: dict[str, int]) -> Case:
-    """The first chunk of the base policy's training, as `murmurate discover` runs it."""
-    config: ExperimentConfig = presets.resolve(EXPERIMENT, {"policy": {"kind": kind}, "base": {"ppo": numbers}})
-    stage = config.base
+def sensing(robots: int, worlds: int, size: Size) -> Case:
+    """What opaque robots with frames of their own perceive; every step's view is written over the last one."""
+    steps = size.steps_of(robots, worlds)
 
     def prepare() -> Callable[[], Any]:
-        discovery = Discovery(config)
-        begin = discovery.begin()
-        begin = replace(begin, train=discovery.template(begin))
-        return lambda: discovery.advance(begin)[0].train
+        config = SensingConfig(kind="visible", rotation=True, reflection=True)
+        world, positions = sized(robots), scattered(robots, worlds)
+        keys = jax.random.split(jax.random.key(0), worlds)
+        frames = jax.jit(lambda keys: draw_frames(config, keys, robots))(keys)
+
+        @jax.jit
+        def run(world: Any, frames: Any, positions: Any) -> Any:
+            def look(positions: Any) -> Any:
+                return perceive(config, positions, frames, keys, world.radius, world.scan_radius)
+
+            def step(now: tuple[Any, Any], _: None) -> tuple[Any, None]:
+                positions, view = now
+                # Depends on the view, so that no look can be left out.
+                positions = positions + 0.01 * jnp.sum(view.x, axis=1)[:, None] / robots
+                return (positions, look(positions)), None
+
+            return jax.lax.scan(step, (positions, look(positions)), None, length=steps)[0]
+
+        return lambda: run(world, frames, positions)
+
+    return Case(SIZED, SENSING, worlds * (steps + 1), prepare, robots, worlds)
+
+
+def chunk(kind: str, size: Size) -> Chunk:
+    """The first updates of the base policy's training, as `murmurate discover` runs them."""
+    fields: dict[str, Any] = {"policy": {"kind": kind}, "base": {"ppo": size.training}}
+    if kind == "local":
+        fields["sensing"] = {"kind": "visible", "rotation": True, "reflection": True}
+    discovery = Discovery(presets.resolve(EXPERIMENT, fields))
+    begin = discovery.begin()
+    return replace(discovery._chunk(begin, discovery.template(begin)), updates=size.updates)
+
+
+def training(kind: str, size: Size) -> Case:
+    """Whole updates of one policy: collecting, advantages, all epochs of both networks, metrics."""
+    stage = presets.resolve(EXPERIMENT, {"policy": {"kind": kind}, "base": {"ppo": size.training}}).base
+
+    def prepare() -> Callable[[], Any]:
+        whole = chunk(kind, size)
+        return lambda: train_chunk(whole.state, whole.env, whole.hyper, whole.shape, whole.updates)
 
     pace = f", an action every {stage.repeat} steps" if stage.repeat > 1 else ""
-    updates = min(config.discovery.chunk, stage.ppo.updates)
-    return Case(f"training, {kind} policy{pace}", stage.ppo.worlds, updates * stage.steps_per_update, prepare)
-
-
-def jaxmarl_stepping(worlds: int, steps: int) -> Case:
-    """JaxMARL's simple spread with ten agents, vectorised over worlds; a step begins ended episodes anew."""
-
-    def prepare() -> Callable[[], Any]:
-        env = _jaxmarl().make("MPE_simple_spread_v3", num_agents=10)
-        keys = jax.random.split(jax.random.key(0), (steps, worlds))
-        actions = jax.random.randint(jax.random.key(1), (steps, env.num_agents, worlds), 0, 5)
-        state = jax.jit(jax.vmap(env.reset))(keys[0])[1]
-
-        def one(state: Any, now: tuple[Any, Any]) -> tuple[Any, Any]:
-            key, action = now
-            by_agent = dict(zip(env.agents, action, strict=True))
-            # Its observations are not asked for, so XLA leaves them out: to JaxMARL's advantage.
-            _, state, reward, done, _ = jax.vmap(env.step)(key, state, by_agent)
-            return state, (reward, done["__all__"])
-
-        run = jax.jit(lambda state, keys, actions: jax.lax.scan(one, state, (keys, actions)))
-        return lambda: run(state, keys, actions)
-
-    return Case(JAXMARL, worlds, worlds * steps, prepare)
-
-
-def _jaxmarl() -> Any:
-    """Returns the package, or None where it is not installed."""
-    try:
-        import jaxmarl
-    except ImportError:
-        return None
-    return jaxmarl
+    work = size.updates * stage.steps_per_update
+    return Case(TRAINING, f"{kind} policy{pace}", work, prepare, worlds=stage.ppo.worlds)

@@ -66,9 +66,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--repeats", type=int, default=15, help="timed rounds (default: 15)")
     options = parser.parse_args()
-    cases = [Case(f"{n} robots, all signals", 1, 1, functools.partial(signalled, n)) for n in SIZES]
-    cases += [Case(f"{n} robots, visibility, direct kernel", 1, 1, functools.partial(directly, n)) for n in DIRECT]
-    timings = measure(cases, options.repeats, lambda line: None)
+    cases = [Case("large", f"{n} robots, all signals", 1, functools.partial(signalled, n), n, 1) for n in SIZES]
+    cases += [
+        Case("large", f"{n} robots, visibility, direct kernel", 1, functools.partial(directly, n), n, 1) for n in DIRECT
+    ]
+    timings, _ = measure(cases, options.repeats, lambda line: None)
     print("| one configuration | ms | ± | compiling, s |\n| --- | ---: | ---: | ---: |")
     for timing in timings:
         print(f"| {timing.case.name} | {timing.seconds * 1e3:.2f} | {timing.spread:.0%} | {timing.compile:.1f} |")

@@ -1,84 +1,169 @@
-"""Names the machine and writes the table."""
+"""Writes the figures as Markdown, between the marks of a page."""
 
 from __future__ import annotations
 
-import importlib.metadata
-import os
-import platform
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks.cases import JAXMARL
-from benchmarks.timing import Timing
+from benchmarks import ceilings, peers, pieces
+from benchmarks.cases import RESTARTS, SENSING, SIZED, STEP, TRAINING
+from murmurate.experiments.tables import as_markdown
 
-__all__ = ["machine", "records", "table", "write"]
+__all__ = ["machine_line", "markdown", "speed_table", "write"]
 
 BEGIN, END = "<!-- begin: make benchmark -->", "<!-- end: make benchmark -->"
-PACKAGES = ("murmurate", "jax", "jaxlib", "numpy", "equinox", "jaxmarl")
+ALIKE = "(see above)"
+Rows = Sequence[Mapping[str, Any]]
 
 
-def machine() -> dict[str, Any]:
-    """Returns processor, usable cores, system and versions."""
-    return {
-        "processor": _processor(),
-        "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
-        "system": platform.system(),
-        "versions": {"Python": platform.python_version(), **{name: _version(name) for name in PACKAGES}},
-    }
+def markdown(data: Mapping[str, Any], picture: str | None = None) -> str:
+    """Returns the whole section.
 
-
-def _processor() -> str:
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        lines = []
-    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return names[0] if names else platform.processor() or platform.machine()
-
-
-def _version(package: str) -> str:
-    try:
-        return importlib.metadata.version(package)
-    except importlib.metadata.PackageNotFoundError:
-        return "not installed"
-
-
-def records(timings: Sequence[Timing]) -> list[dict[str, Any]]:
-    """Returns the figures of every case; `ratio` is to JaxMARL with as many worlds, None without it."""
-    base = {timing.case.worlds: timing.rate for timing in timings if timing.case.name == JAXMARL}
-    return [
-        {
-            "name": timing.case.name,
-            "worlds": timing.case.worlds,
-            "steps_per_second": round(timing.rate),
-            "spread": round(timing.spread, 3),
-            "ratio": round(timing.rate / base[timing.case.worlds], 2) if timing.case.worlds in base else None,
-            "compile_seconds": round(timing.compile, 1),
-        }
-        for timing in timings
+    Args:
+        data: What was measured.
+        picture: Path of the figure from the page, if it is to be shown.
+    """
+    cases = data["cases"]
+    parts = [
+        machine_line(data["machine"]),
+        f"Medians of {data['repeats']} rounds in which the cases take turns, {data['seconds'] / 60:.0f} minutes in "
+        "all; ± is half the range of the middle half.",
+        *([f"![Cost of a step against the number of robots]({picture})"] if picture else []),
+        "### Aims\n\n" + _aims(data["aims"]),
+        "### Ten robots\n\n" + speed_table(cases),
+        "### Swarms of other sizes\n\n" + _sizes(cases) + "\n" + _fits(data["fits"]),
+        "### Where the time of an update goes\n\n" + _pieces(cases, data["updates"]),
+        "### The machine's ceilings, and floors counted by hand\n\n"
+        + _ceilings(cases)
+        + "\n"
+        + _floors(data["floors"]),
+        "### Peak memory\n\n" + _memory(data["memory"]),
     ]
+    if data["left_out"]:
+        parts.append("Left out, as they do not fit in memory: " + "; ".join(data["left_out"]) + ".")
+    return "\n\n".join(part.strip("\n") for part in parts) + "\n"
 
 
-def table(rows: Sequence[dict[str, Any]], about: dict[str, Any], repeats: int) -> str:
-    """Returns machine and figures in Markdown."""
+def machine_line(about: Mapping[str, Any]) -> str:
+    """Names the machine on one line."""
     versions = ", ".join(f"{name} {version}" for name, version in about["versions"].items())
-    lines = [
-        f"{about['processor']}, {about['cores']} cores, {about['system']}; {versions}.",
-        f"Medians of {repeats} runs, the cases taking turns; ± is half the range of the middle half of the runs.",
-        "",
-        "| what (N = 10) | worlds | steps/s | ± | ratio to JaxMARL | compiling, s |",
-        "| --- | ---: | ---: | ---: | ---: | ---: |",
-    ]
+    device = f"{about['device']}, " if about["device"] else ""
+    memory = f"{about['memory_bytes'] / 2**30:.0f} GiB, " if about["memory_bytes"] else ""
+    return f"{device}{about['processor']}, {about['cores']} cores, {memory}{about['system']}; {versions}."
+
+
+def _aims(rows: Rows) -> str:
+    cells = []
     for row in rows:
+        wanted = f"{'at least' if row['at_least'] else 'at most'} {_number(row['wanted'])}"
+        if row["above_floor"] is not None:
+            wanted += f", or within twice the floor (here {row['above_floor']:.1f} times)"
+        cells.append((row["what"], wanted, _number(row["reached"]), "yes" if row["met"] else "no"))
+    return as_markdown(("aim", "wanted", "reached", "met"), cells)
+
+
+def speed_table(cases: Rows) -> str:
+    """Returns the speeds of ten robots, beside other projects."""
+    names = (STEP, RESTARTS)
+    wanted = [row for row in cases if row["robots"] == 10 and row["name"] in names and row["worlds"] > 1]
+    wanted += [row for row in cases if row["part"] in (peers.PART, TRAINING)]
+    cells = []
+    for row in sorted(wanted, key=lambda row: (row["part"] == TRAINING, row["part"] == peers.PART)):
         ratio = "" if row["ratio"] is None else f"{row['ratio']:.2f}"
-        lines.append(
-            f"| {row['name']} | {row['worlds']} | {row['steps_per_second']:,} | {row['spread']:.0%} | {ratio} "
-            f"| {row['compile_seconds']:.1f} |"
-        )
-    if all(row["ratio"] is None for row in rows):
-        lines += ["", "JaxMARL is not installed (it is the extra `benchmark`), so there is nothing to compare with."]
-    return "\n".join(lines) + "\n"
+        speed = (f"{row['per_second']:,.0f}", f"{row['spread']:.0%}", ratio, f"{row['compile_seconds']:.1f}")
+        name = f"training, {row['name']}" if row["part"] == TRAINING else row["name"]
+        cells.append((name, f"{row['worlds']:,}", *speed))
+    text = as_markdown(("what", "worlds", "steps/s", "±", "ratio to JaxMARL", "compiling, s"), cells)
+    missing = [name for name in (peers.JAXMARL, peers.VMAS, peers.SB3) if name not in {row["name"] for row in cases}]
+    return text + (f"\nNot installed, so not compared with: {', '.join(missing)}.\n" if missing else "")
+
+
+def _sizes(cases: Rows) -> str:
+    """Steps a second by swarm size and batch; of the largest batch also the time of a step, and of sensing."""
+    steps = {(row["robots"], row["worlds"]): row for row in cases if (row["part"], row["name"]) == (SIZED, STEP)}
+    looks = {row["robots"]: row for row in cases if row["name"] == SENSING}
+    counts = sorted({worlds for _, worlds in steps})
+    header = ("N", *(f"{worlds:,}" for worlds in counts), "a step, µs", "sensing, µs", "compiling, s")
+    cells = []
+    for robots in sorted(looks):
+        mine = {worlds: row for (size, worlds), row in steps.items() if size == robots}
+        speeds = [f"{mine[worlds]['per_second']:,.0f}" if worlds in mine else "" for worlds in counts]
+        last, look = mine[max(mine)], looks[robots]
+        times = [f"{1e6 / row['per_second']:,.2f}" for row in (last, look)]
+        cells.append((f"{robots:,}", *speeds, *times, f"{last['compile_seconds']:.1f}"))
+    note = "World steps a second by the number of worlds side by side; times and compiling are of the most worlds.\n\n"
+    return note + as_markdown(header, cells)
+
+
+def _fits(rows: Rows) -> str:
+    texts = [f"{row['name']}, N = {row['low']:,} to {row['high']:,}: {row['exponent']:.2f}" for row in rows]
+    return "Exponents of the cost of a step in N: " + "; ".join(texts) + ".\n" if texts else ""
+
+
+def _pieces(cases: Rows, updates: int) -> str:
+    """Milliseconds of each part of an update and its share of the whole, policy by policy."""
+    kinds = [row["name"].split()[0] for row in cases if row["part"] == TRAINING]
+    wholes = {row["name"].split()[0]: row["seconds"] / updates for row in cases if row["part"] == TRAINING}
+    times = {row["name"]: row["seconds"] for row in cases if row["part"] == pieces.PART}
+
+    def cell(kind: str, seconds: float | None) -> str:
+        return "" if seconds is None else f"{1e3 * seconds:,.1f} ({seconds / wholes[kind]:.0%})"
+
+    cells = []
+    for piece in pieces.PIECES:
+        name = f"of which {piece.split(',')[0]}" if piece == pieces.SIGNALS else piece
+        cells.append((name, *(cell(kind, times.get(f"{kind}: {piece}")) for kind in kinds)))
+    explained = {kind: _explained(kind, times) for kind in kinds}
+    cells.append(("everything else", *(cell(kind, wholes[kind] - explained[kind]) for kind in kinds)))
+    cells.append(("the whole update", *(cell(kind, wholes[kind]) for kind in kinds)))
+    note = (
+        "Milliseconds; each part is a program of its own, on what it works on in training. Everything else "
+        "(advantages, shuffling, Adam, metrics) is what the whole takes longer than its parts, negative where it "
+        "shares their work.\n\n"
+    )
+    return note + as_markdown(("part", *kinds), cells)
+
+
+def _explained(kind: str, times: Mapping[str, float]) -> float:
+    parts = (times.get(f"{kind}: {piece}", 0.0) for piece in pieces.PIECES if piece != pieces.SIGNALS)
+    return sum(parts)
+
+
+def _ceilings(cases: Rows) -> str:
+    found = [row for row in cases if row["part"] == ceilings.PART]
+    units = {"operations": "G operations/s", "bytes": "GB/s"}
+    cells = [(row["name"], f"{row['per_second'] / 1e9:,.1f} {units[row['unit']]}") for row in found]
+    return as_markdown(("kind of work, alone", "at best"), cells)
+
+
+def _floors(rows: Rows) -> str:
+    header = ("what", "in products", "plain", "roots", "functions", "bytes", "floor", "measured", "measured / floor")
+    cells = []
+    for row in rows:
+        amounts = [f"{row['counts'][name]:,.4g}" for name in ("products", "plain", "roots", "functions", "bytes")]
+        times = [_duration(row[name]) for name in ("floor_seconds", "measured_seconds")]
+        cells.append((row["name"], *amounts, f"{times[0]} ({row['bound']})", times[1], f"{row['ratio']:.1f}"))
+    return as_markdown(header, cells)
+
+
+def _memory(rows: Rows) -> str:
+    def size(row: Mapping[str, Any]) -> str:
+        return "does not fit" if row["peak_bytes"] is None else f"{row['peak_bytes'] / 2**20:,.0f} MiB"
+
+    cells = [(row["name"], f"{row['robots']:,}", f"{row['worlds']:,}", size(row)) for row in rows]
+    return as_markdown(("what", "N", "worlds", "peak"), cells)
+
+
+def _duration(seconds: float) -> str:
+    for factor, unit in ((1, "s"), (1e3, "ms"), (1e6, "µs")):
+        if seconds * factor >= 1:
+            return f"{seconds * factor:.3g} {unit}"
+    return f"{seconds * 1e9:.3g} ns"
+
+
+def _number(value: float) -> str:
+    return f"{value:,.0f}" if value >= 1000 else f"{value:.3g}"
 
 
 def write(path: Path, text: str) -> None:

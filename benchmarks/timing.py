@@ -10,7 +10,7 @@ from typing import Any
 
 import jax
 
-__all__ = ["Case", "Timing", "measure"]
+__all__ = ["Case", "Timing", "first_run", "measure"]
 
 
 @dataclass(frozen=True)
@@ -18,16 +18,27 @@ class Case:
     """Something to time.
 
     Attributes:
+        part: Which table it belongs to.
         name: What it is.
-        worlds: Worlds that run side by side.
-        steps: World steps of one run, all worlds together.
+        work: What one run does, in `unit`; world steps are of all worlds together.
         prepare: Sets up, untimed, and returns the run: a function that gives arrays to wait for.
+        robots: Swarm size.
+        worlds: Worlds that run side by side; 0 where there are none.
+        unit: Of the work.
     """
 
+    part: str
     name: str
-    worlds: int
-    steps: int
+    work: float
     prepare: Callable[[], Callable[[], Any]]
+    robots: int = 10
+    worlds: int = 0
+    unit: str = "steps"
+
+    @property
+    def key(self) -> str:
+        """What tells it from every other case."""
+        return f"{self.part} | {self.name} | {self.robots} | {self.worlds}"
 
 
 @dataclass(frozen=True)
@@ -51,8 +62,8 @@ class Timing:
 
     @property
     def rate(self) -> float:
-        """World steps a second."""
-        return self.case.steps / self.seconds
+        """Work a second."""
+        return self.case.work / self.seconds
 
     @property
     def spread(self) -> float:
@@ -66,7 +77,7 @@ class Timing:
         return max(0.0, self.first - self.seconds)
 
 
-def measure(cases: Sequence[Case], repeats: int, tell: Callable[[str], None]) -> list[Timing]:
+def measure(cases: Sequence[Case], repeats: int, tell: Callable[[str], None]) -> tuple[list[Timing], list[Case]]:
     """Times every case.
 
     Args:
@@ -75,20 +86,41 @@ def measure(cases: Sequence[Case], repeats: int, tell: Callable[[str], None]) ->
         tell: Is given a line of progress now and then.
 
     Returns:
-        One timing for each case.
+        One timing for each case, and the cases that did not fit in memory.
     """
-    runs, firsts = [], []
+    begun, left_out = [], []
     for case in cases:
-        tell(f"compiling {case.name}, {case.worlds} worlds")
-        run = case.prepare()
-        firsts.append(_seconds(run))
-        runs.append(run)
-    seconds: list[list[float]] = [[] for _ in cases]
+        tell(f"compiling {case.key}")
+        try:
+            run, first = first_run(case)
+        except MemoryError:
+            tell(f"left out, as it does not fit in memory: {case.key}")
+            left_out.append(case)
+        else:
+            begun.append((case, run, first, []))
     for turn in range(repeats):
         tell(f"round {turn + 1} of {repeats}")
-        for taken, run in zip(seconds, runs, strict=True):
+        for _, run, _, taken in begun:
             taken.append(_seconds(run))
-    return [Timing(case, first, tuple(taken)) for case, first, taken in zip(cases, firsts, seconds, strict=True)]
+    return [Timing(case, first, tuple(taken)) for case, _, first, taken in begun], left_out
+
+
+def first_run(case: Case) -> tuple[Callable[[], Any], float]:
+    """Prepares a case and runs it once.
+
+    Returns:
+        The run, and the seconds that it took this time.
+
+    Raises:
+        MemoryError: It does not fit in memory.
+    """
+    try:
+        run = case.prepare()
+        return run, _seconds(run)
+    except jax.errors.JaxRuntimeError as error:
+        if "RESOURCE_EXHAUSTED" not in str(error):
+            raise
+        raise MemoryError(case.key) from error
 
 
 def _seconds(run: Callable[[], Any]) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import os
 import re
 import shlex
 import shutil
@@ -97,6 +98,8 @@ class Reader:
             program = words[0].removeprefix(".venv/bin/")
             if program == "murmurate":
                 self.murmurate(words[1:])
+            elif program.endswith(".sh"):
+                assert os.access(ROOT / program, os.X_OK), f"{self.page}: {program}: no such script"
             else:
                 assert program in _CHECKS, f"{self.page}: nothing checks `{line}`"
                 _CHECKS[program](words[1:])
