@@ -81,7 +81,7 @@ def _parser(shown: str) -> Parser:
     board = "write the training curves for TensorBoard as well (needs the tensorboard extra)"
     parser.add_argument("--tensorboard", action="store_true", help=board)
     text = "train on this many hosts, each of which runs the same command with its own --host; or auto, as Slurm says"
-    parser.add_argument("--hosts", metavar="INT", help=text)
+    parser.add_argument("--hosts", metavar="INT|auto", help=text)
     parser.add_argument("--host", type=int, metavar="INT", help="which of them this is, from 0, which keeps the run")
     text = "where the first of them listens, a free port of its own"
     parser.add_argument("--coordinator", metavar="HOST:PORT", help=text)

@@ -95,7 +95,7 @@ def failures_figure(rows: Sequence[Row], radius: float, scan_radius: Mapping[int
     down = math.ceil(len(failed) / across)
     figure = new_page(0.55 + down * (side + 0.55))
     draw_head(
-        figure, "The worst failures", "red: sight is blocked; orange outline: ended in a collision or outside the world"
+        figure, "The worst failures", "lines: sight is blocked; orange outline: a collision, or outside the world"
     )
     for place, (row, one) in enumerate(failed):
         line, column = divmod(place, across)
