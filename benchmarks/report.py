@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -42,7 +43,12 @@ def markdown(data: Mapping[str, Any], picture: str | None = None) -> str:
     ]
     if data["left_out"]:
         parts.append("Left out, as they do not fit in memory: " + "; ".join(data["left_out"]) + ".")
-    return "\n\n".join(part.strip("\n") for part in parts) + "\n"
+    return "\n".join(_wrapped(line) for line in "\n\n".join(part.strip("\n") for part in parts).splitlines()) + "\n"
+
+
+def _wrapped(line: str) -> str:
+    """Breaks a long line of text, as the rest of the page is broken; a table's stays."""
+    return line if line.startswith("|") else textwrap.fill(line, 140, break_long_words=False, break_on_hyphens=False)
 
 
 def machine_line(about: Mapping[str, Any]) -> str:
