@@ -26,6 +26,13 @@ LONG = {"base": {"ppo": {"updates": 150}}, "discovery": {"chunk": 2, "min_polici
 
 TWO = 'experiments = ["long.toml"]\nseeds = 2\n'
 
+INTERRUPTIBLY = """
+import os, signal, sys
+signal.signal(signal.SIGINT, signal.SIG_DFL)
+os.execv(sys.argv[1], sys.argv[1:])
+"""
+"""Becomes a command: whoever runs these tests in the background may have them ignore interrupts, and all they start."""
+
 
 @pytest.fixture
 def folder(tmp_path):
@@ -122,11 +129,8 @@ def test_a_killed_worker_costs_nothing_and_changes_nothing(folder):
 
 def test_an_interrupted_sweep_leaves_nobody_behind_and_goes_on(folder):
     out = folder / "out"
-    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    # Whoever runs these tests in the background may have them ignore interrupts, and all that they start.
-    with subprocess.Popen(
-        words(folder), **pipes, preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)
-    ) as sweep:
+    command = [sys.executable, "-c", INTERRUPTIBLY, *words(folder)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as sweep:
         wait_for(lambda: begun(out))
         sweep.send_signal(signal.SIGINT)
         _, told = sweep.communicate(timeout=60)
