@@ -32,7 +32,7 @@ docs: $(VENV)/.installed  ## the documentation site, warnings are errors; into b
 figures-docs: $(VENV)/.installed  ## draws the figures of docs/world.md again
 	$(BIN)/python docs/draw.py
 
-benchmark: $(VENV)/.installed  ## speed, limits and memory beside other projects (half an hour); writes docs/benchmarks.md
+benchmark: $(VENV)/.installed  ## speed, limits and memory beside other projects (minutes); writes docs/benchmarks.md
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[benchmark]'
 	$(BIN)/python -m benchmarks --out docs/benchmarks.md --json docs/benchmarks.json --figure docs/figures/cost.png
 

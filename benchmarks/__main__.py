@@ -1,7 +1,7 @@
 """Times world and training beside the machine's ceilings and other projects; writes tables, JSON and a figure.
 
 python -m benchmarks --out docs/benchmarks.md --json docs/benchmarks.json --figure docs/figures/cost.png (`make
-benchmark`: a quarter of an hour on two quiet cores). With --redraw, page and figure are made from the JSON instead.
+benchmark`: six minutes on two quiet cores). With --redraw, page and figure are made from the JSON instead.
 """
 
 from __future__ import annotations

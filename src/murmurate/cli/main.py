@@ -25,7 +25,7 @@ BROKEN_PIPE = 141  # and for one that SIGPIPE ended
 # Each verb is a module of this package with `run(argv) -> int`, imported only when it is called for.
 VERBS = {
     "discover": "train the policies of an experiment and show the pattern that they form",
-    "sweep": "train many runs, on all cores or on Slurm, and write one table of them",
+    "sweep": "train many runs, on all cores, Ray or Slurm, and write one table of them",
     "evaluate": "run a discovered cascade from fresh starts, or from a file of starts",
     "show": "draw the figures and the animation of a run",
     "catalogue": "sort what runs found into classes of patterns, and draw them on a plate",

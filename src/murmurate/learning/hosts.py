@@ -25,7 +25,7 @@ from jax.experimental import multihost_utils
 
 from murmurate.errors import HostError, InputError, RunError, check_number
 
-__all__ = ["abandon", "agreed", "check", "guarded", "is_first", "join", "sent"]
+__all__ = ["agreed", "check", "guarded", "is_first", "join", "sent"]
 
 _MOST = 65536
 _PATIENCE = 20.0
@@ -124,20 +124,20 @@ def guarded() -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt:
-        abandon(130)
+        _abandon(130)
         raise
     except (InputError, RunError):
-        abandon(2)
+        _abandon(2)
         raise
     except Exception as error:
         if not re.search("gloo|nccl|coordination", str(error), re.IGNORECASE):
-            abandon(1)
+            _abandon(1)
             raise
-        abandon(2)
+        _abandon(2)
         raise HostError(str(error)) from None
 
 
-def abandon(status: int) -> None:
+def _abandon(status: int) -> None:
     """Has this process end with a status when Python does, without a goodbye to hosts that may not answer."""
     _leaving.status = status
 
