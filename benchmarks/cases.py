@@ -161,7 +161,10 @@ def sensing(robots: int, worlds: int, size: Size) -> Case:
         @jax.jit
         def run(world: Any, frames: Any, positions: Any) -> Any:
             def look(positions: Any) -> Any:
-                return perceive(config, positions, frames, keys, world.radius, world.scan_radius)
+                return perceive(
+                    *(config, positions, frames, keys),
+                    *(world.radius, world.scan_radius, world.half_width, world.half_height),
+                )
 
             def step(now: tuple[Any, Any], _: None) -> tuple[Any, None]:
                 positions, view = now

@@ -31,11 +31,11 @@ REST = {"max_steps": 15, "window": 3, "switch_tolerance": 0.004, "tolerance": 0.
 pytestmark = pytest.mark.filterwarnings("ignore:::(jax2onnx|onnx|onnx_ir|flax|orbax|google).*")
 
 
-def untrained(kind, policies=2, objective="C2", seed=0, factor=1):
+def untrained(kind, policies=2, objective="C2", seed=0, factor=1, walls=False):
     """A run whose policies nobody trained, but which do move, faster by a factor."""
     world = {"robots": ROBOTS, "half_width": 30.0, "half_height": 25.0, "scan_radius": 100.0}
     hidden = {"policy": {"kind": kind, "hidden": [12, 8]}, "rest": REST, "seed": seed}
-    eyes = {"sensing": {"kind": "visible", "rotation": True}} if kind == "local" else {}
+    eyes = {"sensing": {"kind": "visible", "rotation": True, "walls": walls}} if kind == "local" else {}
     config = presets.resolve("F", {"objective": objective, "world": world, "start": {"kind": "random"}}, hidden, eyes)
     discovery = Discovery(config)
     chosen = [discovery.networks(index)[0] for index in range(policies)]
@@ -115,10 +115,11 @@ def test_a_central_cascade_has_a_dynamic_batch_and_its_own_number_of_robots():
         assert loop(session, configurations(ROBOTS, batch), 2)[0].shape == (batch, 3, ROBOTS, 2)
 
 
-@pytest.mark.parametrize("objective", ["C1", "C2"])
-def test_a_robot_with_its_own_eyes_moves_by_its_model_as_in_the_world(objective):
-    run = untrained("local", policies=1, objective=objective, factor=10)
+@pytest.mark.parametrize(("objective", "walls"), [("C1", False), ("C2", False), ("C2", True)])
+def test_a_robot_with_its_own_eyes_moves_by_its_model_as_in_the_world(objective, walls):
+    run = untrained("local", policies=1, objective=objective, factor=10, walls=walls)
     model = onnx.export(run)
+    assert model.difference(run, 200) < onnx.TOLERANCE
     starts = run.starts(40, 1)
     state = run.world.state(jnp.moveaxis(jnp.asarray(starts), 0, -1), 0)
     expected = np.moveaxis(np.asarray(run.cascade.policies[0](run.world.observe(state))), -1, 0)
@@ -133,6 +134,10 @@ def test_a_robot_with_its_own_eyes_moves_by_its_model_as_in_the_world(objective)
         inputs = {"others": views}
         if objective == "C1":
             inputs["point"] = into(-starts[:, robot])
+        if walls:
+            x, y = starts[:, robot].T
+            feet = [(30 - x, 0 * x), (0 * x, 25 - y), (-30 - x, 0 * x), (0 * x, -25 - y)]
+            inputs["walls"] = into(np.moveaxis(np.array(feet), -1, 0))
         (theirs,) = model.session().run(None, {name: a.astype(np.float32) for name, a in inputs.items()})
         np.testing.assert_allclose(theirs, expected[:, robot], atol=1e-5)
 

@@ -105,6 +105,14 @@ def test_without_a_landmark_nobody_is_told_where_to_gather():
         assert env.observation_space("robot_0").shape == at(env)[0]["robot_0"].shape == (2, 3)
 
 
+def test_walls_are_shown_where_they_are_perceived():
+    env = make(sensing=SensingConfig(walls=True), half_width=20.0, half_height=15.0)
+    observations, _ = at(env)
+    for name, (x, y) in zip(NAMES, TRIANGLE, strict=True):
+        assert env.observation_space(name).contains(observations[name])
+        close(observations[name][3:], [[20 - x, 0, 1], [0, 15 - y, 1], [-20 - x, 0, 1], [0, -15 - y, 1]])
+
+
 def test_frames_are_the_robots_own():
     sensing = SensingConfig(rotation=True, reflection=True, unit=3.0)
     env = make(sensing=sensing)

@@ -30,7 +30,7 @@ def configuration(seed=0, robots=6):
 @eqx.filter_jit
 def look(config, positions, keys):
     frames = draw_frames(config, keys, len(positions))
-    view = perceive(config, positions, frames, keys, R, SCAN)
+    view = perceive(config, positions, frames, keys, R, SCAN, 45.0, 45.0)
     return frames, Observation(view, positions, jnp.full_like(positions[:, 0], jnp.inf))
 
 
@@ -89,6 +89,20 @@ def test_what_is_hidden_does_not_move_a_robot(name):
     assert not bool(observation.view.seen[0, 2])
     first, second = (velocities(policy, p, kind="visible")[0] for p in (here, there))
     np.testing.assert_array_equal(first, second)
+
+
+@pytest.mark.parametrize("name", STEADY)
+def test_who_perceives_a_wall_does_not_cross_it(name):
+    """Crowds in a corner, which would spread over the walls."""
+    policy = make(name)
+    crowds = jnp.stack([0.3 * configuration(seed) for seed in range(20)], axis=-1)
+    crowds = crowds + 45.0 - crowds.max(axis=0)
+    over, kept = (
+        velocities(policy, crowds, kind="global", rotation=True, reflection=True, walls=walls) + np.asarray(crowds)
+        for walls in (False, True)
+    )
+    assert over.max() > 45.0 or name == "centroid"
+    assert kept.max() <= 45.0
 
 
 @pytest.mark.parametrize("name", BASELINES)

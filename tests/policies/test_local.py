@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from murmurate.policies import PolicyConfig, Sizes, make_networks
+from murmurate.policies.local import BRAKE
 from murmurate.world import Observation, SensingConfig, draw_frames, perceive
 
 R, SCAN = 1.0, 40.0
@@ -33,7 +34,7 @@ def observed(positions, seed=0, **sensing):
     config = SensingConfig(**sensing)
     key = jax.random.key(seed)
     frames = draw_frames(config, key, len(positions))
-    view = perceive(config, positions, frames, key, R, SCAN)
+    view = perceive(config, positions, frames, key, R, SCAN, 45.0, 45.0)
     return frames, Observation(view, positions, 45.0 - jnp.abs(positions).max(axis=1))
 
 
@@ -96,6 +97,24 @@ def test_positions_never_reach_the_acting_policy():
     blind = eqx.tree_at(lambda o: o.positions, observation, observation.positions * jnp.nan)
     np.testing.assert_array_equal(policy(blind), policy(observation))
     assert not np.isfinite(np.asarray(value(blind))).any()
+
+
+@pytest.mark.parametrize("far", [0.0, 0.3, 40.0])
+def test_no_robot_goes_more_than_a_share_of_its_way_to_a_wall_that_it_perceives(far):
+    """In a corner, and as fast as it would go anyway where no wall is near."""
+    policy, _ = networks()
+    positions = configuration() + 45.0 - far - configuration().max(axis=0)
+    plain, slowed = (
+        velocities(policy, positions, 3, kind="global", rotation=True, reflection=True, unit=3.0, walls=walls)
+        for walls in (False, True)
+    )
+    way = 45.0 - np.asarray(positions)
+    np.testing.assert_allclose(slowed, np.minimum(plain, BRAKE * way), atol=2e-5)
+    assert (far == 40.0) == np.allclose(slowed, plain, atol=1e-4)
+    # Away from a wall, or from the opposite one, nothing holds a robot back.
+    back = velocities(policy, -positions, 3, kind="global", rotation=True, walls=True)
+    free = velocities(policy, -positions, 3, kind="global", rotation=True)
+    np.testing.assert_allclose(back, np.maximum(free, -BRAKE * way), atol=2e-5)
 
 
 @pytest.mark.parametrize("robots", [2, 3, 16, 40])

@@ -23,6 +23,7 @@ from murmurate.world import (
 from oracles import visibility
 
 R, SCAN = 1.0, 20.0
+X, Y = 14.0, 12.5
 OTHER = ~np.eye(6, dtype=bool)
 
 
@@ -40,7 +41,7 @@ def look(positions, seed=0, **sensing):
     config = SensingConfig(**sensing)
     keys = jax.random.split(jax.random.key(seed), positions.shape[-1])
     frames = draw_frames(config, keys, positions.shape[0])
-    return frames, perceive(config, positions, frames, keys, R, SCAN)
+    return frames, perceive(config, positions, frames, keys, R, SCAN, X, Y)
 
 
 def test_what_is_seen_is_what_the_oracle_sees():
@@ -82,6 +83,19 @@ def test_a_frame_changes_coordinates_only(seed, rotation, reflection, unit):
     # What a robot perceives to lie ahead, it moves towards.
     own = jnp.stack([view.x[:, 0], view.y[:, 0]], axis=1) * frames.unit[:, None]
     np.testing.assert_allclose(frames.outward(own), positions[:1] - positions, rtol=1e-4, atol=1e-3)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 1000), st.booleans(), st.booleans(), st.sampled_from([1.0, 4.0]))
+def test_walls_are_perceived_where_they_are(seed, rotation, reflection, unit):
+    positions = configurations(seed, batch=3)
+    frames, view = look(positions, seed, rotation=rotation, reflection=reflection, unit=unit, walls=True)
+    x, y = np.asarray(positions[:, 0], float), np.asarray(positions[:, 1], float)
+    feet = [(np.full_like(x, X), y), (x, np.full_like(y, Y)), (np.full_like(x, -X), y), (x, np.full_like(y, -Y))]
+    for wall, foot in enumerate(feet):
+        there = positions + frames.outward(view.walls[:, wall] * frames.unit[:, None])
+        np.testing.assert_allclose(there, np.stack(foot, axis=1), atol=1e-4)
+    assert look(positions, seed)[1].walls is None
 
 
 def test_half_of_the_robots_see_a_mirror_image():

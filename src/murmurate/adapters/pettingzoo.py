@@ -43,7 +43,8 @@ class GatheringParallelEnv(ParallelEnv[str, Rows, Velocity]):
 
     An observation is what the robot perceives, in its own frame, centred on itself, and its own unit of length. Its
     rows are `x, y, 1` for each robot it perceives, the nearest first, and zeros for the rest: `(robots - 1, 3)`. One
-    more row `x, y, 1` follows for the gathering point where there is one and a landmark shows it (C1), and one more,
+    more row `x, y, 1` follows for the gathering point where there is one and a landmark shows it (C1), four for the
+    nearest points of the walls where they are perceived (`sensing.walls`), opposite walls two rows apart, and one more,
     `radius, 0, 1`, where units differ (`sensing.unit`), by which a robot tells how long its unit is.
 
     An action is the robot's own velocity in its own frame. In the world's, each component is limited once more.
@@ -240,7 +241,7 @@ def _has_landmark(gathering: str, sensing: SensingConfig) -> bool:
 
 
 def _extra_rows(gathering: str, sensing: SensingConfig) -> int:
-    return _has_landmark(gathering, sensing) + (sensing.unit > 1)
+    return _has_landmark(gathering, sensing) + 4 * sensing.walls + (sensing.unit > 1)
 
 
 def _look(env: Perceived, state: PerceivedState) -> Float[Array, "robots rows 3 batch"]:
@@ -254,6 +255,8 @@ def _look(env: Perceived, state: PerceivedState) -> Float[Array, "robots rows 3 
     extra = []
     if _has_landmark(env.world.objective.gathering, env.sensing):
         extra.append(jnp.stack([view.point_x, view.point_y, one], axis=1))
+    if view.walls is not None:
+        extra += [jnp.stack([*jnp.unstack(wall, axis=1), one], axis=1) for wall in jnp.unstack(view.walls, axis=1)]
     if env.sensing.unit > 1:
         extra.append(jnp.stack([view.radius, zero, one], axis=1))
     return jnp.concatenate([rows, *(row[:, None] for row in extra)], axis=1)

@@ -7,7 +7,8 @@ the perpendicular bisector of the two centres less a radius,
     v . u_j <= d_j / 2 - R,
 
 which makes the allowed set a buffered Voronoi cell (Zhou, Wang, Bandyopadhyay and Schwager, 2017). It is memoryless,
-and two robots that see each other never collide, whatever else they do.
+and two robots that see each other never collide, whatever else they do. Walls, where they are perceived, forbid what is
+beyond them likewise.
 
 Robots are opaque, so somebody may stand in the shadow of a robot that is seen, no nearer than that one. Therefore the
 last step, which shortens velocities until none of these bounds is broken, treats each robot seen as if its whole shadow
@@ -22,6 +23,7 @@ from jaxtyping import Array, Float
 
 from murmurate.baselines.sight import Sight
 from murmurate.policies import Sizes
+from murmurate.policies.local import ways
 
 __all__ = ["KEEP", "avoiding", "limited"]
 
@@ -64,15 +66,29 @@ def avoiding(
     # The nearest first: an order that depends on no robot's number.
     near, sx, sy = (a[:, :NEAREST] for a in jax.lax.sort((far, ux, uy), dimension=1, num_keys=1))
     soft = jnp.maximum((near - KEEP * sizes.safe_distance) / 2, -sizes.max_speed / 4)
-    x, y = _projected(x, y, sx, sy, jnp.minimum(soft, _room(near, sizes)))
-    x, y = limited(x, y, sizes.max_speed)
-    share = _share(x, y, ux, uy, far, sizes)
+    bound = jnp.minimum(soft, _room(near, sizes))
+    wx, wy, way = _walls(seen)
+    planes = (jnp.concatenate(pair, axis=1) for pair in ((sx, wx), (sy, wy), (bound, way)))
+    x, y = limited(*_projected(x, y, *planes), sizes.max_speed)
+    share = jnp.minimum(
+        _share(x, y, ux, uy, far, sizes),
+        _shortest(x[:, None] * wx + y[:, None] * wy, way),
+    )
     return jnp.stack([x * share, y * share], axis=1)
 
 
 def _room(distance: Array, sizes: Sizes) -> Array:
     """How far a robot may go towards another one."""
     return jnp.maximum(distance / 2 - (1 + MARGIN) * sizes.radius, 0.0)
+
+
+def _walls(seen: Sight) -> tuple[Array, Array, Array]:
+    """Unit vectors towards the walls that are perceived, and how far a robot may go."""
+    if seen.walls is None:
+        nowhere = seen.x[:, :0]
+        return nowhere, nowhere, nowhere
+    normal, way = ways(seen.walls)
+    return normal[:, :, 0], normal[:, :, 1], (1 - MARGIN) * way
 
 
 def _projected(x: Array, y: Array, ux: Array, uy: Array, bound: Array) -> tuple[Array, Array]:
@@ -99,5 +115,10 @@ def _share(x: Array, y: Array, ux: Array, uy: Array, distance: Array, sizes: Siz
     # Discs no nearer than this one that overlap it in view are less than twice its own half-angle aside.
     aside = jnp.arccos(along) - 2 * jnp.arcsin(jnp.minimum(sizes.radius / distance, 1.0))
     approach = speed[:, None] * jnp.cos(jnp.maximum(aside, 0.0))
-    room = _room(distance, sizes)
-    return jnp.min(jnp.where(approach > room, room / jnp.where(approach > room, approach, 1.0), 1.0), axis=1)
+    return _shortest(approach, _room(distance, sizes))
+
+
+def _shortest(approach: Array, room: Array) -> Array:
+    """How much of a velocity leaves each of several approaches within its room."""
+    share = jnp.where(approach > room, room / jnp.where(approach > room, approach, 1.0), 1.0)
+    return jnp.min(share, axis=1, initial=1.0)

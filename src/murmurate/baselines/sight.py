@@ -24,6 +24,7 @@ class Sight(NamedTuple):
         distance: How far away each one is, world units; 1 for those not seen.
         point_x: First coordinate of the gathering point, world units.
         point_y: Second coordinate of it.
+        walls: The nearest point of each wall, world units; None where walls are not perceived.
     """
 
     x: Float[Array, "robots robots *batch"]
@@ -32,13 +33,15 @@ class Sight(NamedTuple):
     distance: Float[Array, "robots robots *batch"]
     point_x: Float[Array, "robots *batch"]
     point_y: Float[Array, "robots *batch"]
+    walls: Float[Array, "robots 4 2 *batch"] | None = None
 
 
 def sight(view: View, sizes: Sizes) -> Sight:
     """Returns what the robots see; how long a robot's unit is it tells by the radius it perceives."""
     scale = sizes.radius / view.radius
     x, y = view.x * scale[:, None], view.y * scale[:, None]
-    return _sight(x, y, view.seen, view.point_x * scale, view.point_y * scale)
+    walls = None if view.walls is None else view.walls * scale[:, None, None]
+    return _sight(x, y, view.seen, view.point_x * scale, view.point_y * scale)._replace(walls=walls)
 
 
 def everyone(positions: Float[Array, "robots 2 *batch"]) -> Sight:

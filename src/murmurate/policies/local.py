@@ -42,8 +42,11 @@ from murmurate.policies.gaussian import Gaussian
 from murmurate.policies.hull import CORNER_CHANNELS, EDGE_CHANNELS, hull
 from murmurate.policies.layers import Dense, Linear, bounded, fold
 
-__all__ = ["LocalPolicy", "LocalValue", "Perception", "View"]
+__all__ = ["LocalPolicy", "LocalValue", "Perception", "View", "ways"]
 
+
+BRAKE = 0.2
+"""Share of its way to a wall that a robot goes in a step, at most. A move that lasts 4 steps still ends before it."""
 
 CRITICAL = 6.0
 """Lines of sight about to be crossed weigh, all together, less than so many robots near by."""
@@ -80,6 +83,11 @@ class View(Protocol):
     @property
     def point_y(self) -> Float[Array, "robots *batch"]:
         """Second coordinate of it."""
+        ...
+
+    @property
+    def walls(self) -> Float[Array, "robots 4 2 *batch"] | None:
+        """The nearest point of each wall, opposite ones two places apart; None where walls are not perceived."""
         ...
 
 
@@ -147,7 +155,8 @@ class LocalPolicy(eqx.Module):
             ux, uy, _ = point(px, py, self.basis, sizes.safe_distance)
             g, h = self.to_point(nodes)
             vx, vy = vx + g * ux - h * uy, vy + g * uy + h * ux
-        return bounded(vx, vy, sizes.max_speed)
+        velocity = bounded(vx, vy, sizes.max_speed)
+        return velocity if view.walls is None else braked(velocity, view.walls * scale[:, None, None])
 
     def _weight(self, around: Surroundings, square: Array) -> Array:
         """How much each robot seen counts, besides in the mean."""
@@ -169,6 +178,30 @@ class LocalPolicy(eqx.Module):
     def distribution(self, observation: Perception) -> Gaussian:
         """Returns normal velocities around the most likely ones: each robot draws its own."""
         return Gaussian(self(observation), self.log_std + math.log(self.sizes.max_speed), joint=False)
+
+
+def braked(
+    velocity: Float[Array, "robots 2 *batch"], walls: Float[Array, "robots 4 2 *batch"]
+) -> Float[Array, "robots 2 *batch"]:
+    """Shortens velocities so that no robot goes more than a share of its way to a wall.
+
+    Args:
+        velocity: Of each robot, world units per step.
+        walls: The nearest point of each wall from where it is, world units, opposite ones two places apart.
+    """
+    normal, way = ways(walls)
+    excess = jnp.maximum(jnp.sum(velocity[:, None] * normal, axis=2) - BRAKE * way, 0.0)
+    return velocity - jnp.sum(excess[:, :, None] * normal, axis=1)
+
+
+def ways(
+    walls: Float[Array, "robots 4 2 *batch"],
+) -> tuple[Float[Array, "robots 4 2 *batch"], Float[Array, "robots 4 *batch"]]:
+    """Returns the unit vector towards each wall, and how far it is, at least 0."""
+    # From wall to wall: a robot at a wall knows by the opposite one where that lies.
+    across = walls - jnp.roll(walls, 2, axis=1)
+    normal = across / jnp.sqrt(jnp.sum(across**2, axis=2, keepdims=True))
+    return normal, jnp.maximum(jnp.sum(walls * normal, axis=2), 0.0)
 
 
 class LocalValue(eqx.Module):

@@ -91,8 +91,9 @@ class Perceived(eqx.Module):
     def observe(self, state: PerceivedState) -> Observation:
         """Looks around from every robot."""
         world, keys = self.world, wrapped(state.key)
-        view = perceive(self.sensing, state.positions, state.frames, keys, world.radius, world.scan_radius)
-        aside, above = world.half_width - abs(state.positions[:, 0]), world.half_height - abs(state.positions[:, 1])
+        reach, half_width, half_height = world.scan_radius, world.half_width, world.half_height
+        view = perceive(self.sensing, state.positions, state.frames, keys, world.radius, reach, half_width, half_height)
+        aside, above = half_width - abs(state.positions[:, 0]), half_height - abs(state.positions[:, 1])
         return Observation(view, state.positions, jnp.maximum(jnp.minimum(aside, above), 0.0))
 
     def step(self, state: PerceivedState, action: Float[Array, "robots 2 *batch"]) -> tuple[PerceivedState, Any]:

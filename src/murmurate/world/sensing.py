@@ -40,6 +40,7 @@ class SensingConfig:
         bearing_noise: Standard deviation of a perceived direction, radians.
         missed: Probability that a robot that could be perceived is not.
         landmark: Whether something marks the gathering point, so that robots perceive it, however far (C1).
+        walls: Whether robots perceive the four walls, however far.
     """
 
     kind: SensingKind = "global"
@@ -51,6 +52,7 @@ class SensingConfig:
     bearing_noise: float = 0.0
     missed: float = 0.0
     landmark: bool = True
+    walls: bool = False
 
     def __post_init__(self) -> None:
         check_choice("kind", self.kind, get_args(SensingKind))
@@ -107,6 +109,7 @@ class View(eqx.Module):
         radius: The robots' radius in the observer's unit: by it a robot tells how long its unit is.
         point_x: First coordinate of the gathering point, which a landmark shows to all.
         point_y: Second coordinate of it.
+        walls: The nearest point of each wall, opposite ones two places apart; None where walls are not perceived.
     """
 
     x: Float[Array, "robots robots *batch"]
@@ -115,6 +118,7 @@ class View(eqx.Module):
     radius: Float[Array, "robots *batch"]
     point_x: Float[Array, "robots *batch"]
     point_y: Float[Array, "robots *batch"]
+    walls: Float[Array, "robots 4 2 *batch"] | None = None
 
 
 def draw_frames(config: SensingConfig, keys: PRNGKeyArray, robots: int, dtype: Any = jnp.float32) -> Frames:
@@ -148,6 +152,8 @@ def perceive(
     keys: PRNGKeyArray,
     radius: Any,
     scan_radius: Any,
+    half_width: Any,
+    half_height: Any,
 ) -> View:
     """Looks around from every robot.
 
@@ -158,6 +164,8 @@ def perceive(
         keys: Randomness of noise and missed detections, `(*batch)`.
         radius: The paper's R_bot, world units.
         scan_radius: The paper's R_scan, world units.
+        half_width: The world's X, world units.
+        half_height: The world's Y, world units.
     """
     dx = positions[None, :, 0] - positions[:, None, 0]
     dy = positions[None, :, 1] - positions[:, None, 1]
@@ -173,7 +181,19 @@ def perceive(
         radius=radius / frames.unit,
         point_x=px / frames.unit,
         point_y=py / frames.unit,
+        walls=_walls(positions, frames, half_width, half_height) if config.walls else None,
     )
+
+
+def _walls(
+    positions: Float[Array, "robots 2 *batch"], frames: Frames, half_width: Any, half_height: Any
+) -> Float[Array, "robots 4 2 *batch"]:
+    """Returns the nearest point of the right, upper, left and lower wall, as each robot perceives it."""
+    x, y = positions[:, 0], positions[:, 1]
+    nothing = jnp.zeros_like(x)
+    right, upper, left, lower = half_width - x, half_height - y, -half_width - x, -half_height - y
+    offsets = ((right, nothing), (nothing, upper), (left, nothing), (nothing, lower))
+    return jnp.stack([jnp.stack(frames.inward(*way), axis=1) / frames.unit[:, None] for way in offsets], axis=1)
 
 
 def _blurred(

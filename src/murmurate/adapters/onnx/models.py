@@ -19,6 +19,7 @@ from murmurate.adapters.onnx import programs
 from murmurate.adapters.onnx.programs import Program
 from murmurate.experiments.run import Run
 from murmurate.geometry import visible
+from murmurate.world import WorldConfig
 
 try:
     import jax2onnx
@@ -128,6 +129,8 @@ def _samples(run: Run, program: Program, configurations: int, seed: int) -> Iter
             inputs["memory"] = _memory(run, positions, int(program.inputs["memory"][1]), rng)
         if "point" in program.inputs:
             inputs["point"] = -positions[:, 0]
+        if "walls" in program.inputs:
+            inputs["walls"] = _walls(run.experiment.of_size(robots).world, positions[:, 0])
         yield {name: inputs[name].astype(np.float32) for name in program.inputs}
 
 
@@ -152,6 +155,15 @@ def _view(run: Run, positions: np.ndarray, rng: np.random.Generator) -> np.ndarr
     angle = rng.uniform(0, 2 * np.pi, len(positions))
     turn = np.moveaxis(np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]), -1, 0)
     return np.where(seen[..., None], others @ turn, 0.0)
+
+
+def _walls(world: WorldConfig, position: np.ndarray) -> np.ndarray:
+    """Returns the nearest point of each wall from where a robot is."""
+    x, y = np.clip(position, -world.half_width, world.half_width).T
+    nothing = np.zeros_like(x)
+    ways = [(world.half_width - x, nothing), (nothing, world.half_height - y)]
+    ways += [(-world.half_width - x, nothing), (nothing, -world.half_height - y)]
+    return np.moveaxis(np.array(ways), -1, 0)
 
 
 def _memory(run: Run, positions: np.ndarray, width: int, rng: np.random.Generator) -> np.ndarray:

@@ -58,6 +58,7 @@ class _View(NamedTuple):
     radius: Array
     point_x: Array
     point_y: Array
+    walls: Array | None
 
 
 class _Perception(NamedTuple):
@@ -150,26 +151,32 @@ def objective(run: Run, positions: Float[np.ndarray, "batch robots 2"]) -> Float
 
 def _local(chosen: LocalPolicy, run: Run, about: dict[str, str]) -> Program:
     sizes = chosen.sizes
-
-    def act(others: Array, *point: Array) -> tuple[Array]:
-        x, y = (jnp.transpose(others[:, :, axis])[None] for axis in (0, 1))
-        # Whoever is where the robot itself is fills up a batch of views of unequal length.
-        seen = (x != 0) | (y != 0)
-        where = jnp.transpose(point[0]) if point else jnp.zeros_like(jnp.transpose(others[:, 0]))
-        one = jnp.ones_like(x[:, 0])
-        view = _View(x, y, seen, sizes.radius * one, where[0] * one, where[1] * one)
-        velocity = chosen(_Perception(view))  # type: ignore[arg-type]
-        return (jnp.transpose(velocity[0]),)
-
     inputs: dict[str, tuple[int | str, ...]] = {"others": ("batch", "others", 2)}
     if sizes.landmark:
         inputs["point"] = ("batch", 2)
-    told = {
+    if run.experiment.sensing.walls:
+        inputs["walls"] = ("batch", 4, 2)
+
+    def act(others: Array, *more: Array) -> tuple[Array]:
+        told = dict(zip(list(inputs)[1:], more, strict=True))
+        x, y = (jnp.transpose(others[:, :, axis])[None] for axis in (0, 1))
+        # Whoever is where the robot itself is fills up a batch of views of unequal length.
+        seen = (x != 0) | (y != 0)
+        where = jnp.transpose(told["point"]) if "point" in told else jnp.zeros_like(jnp.transpose(others[:, 0]))
+        walls = jnp.moveaxis(told["walls"], 0, -1)[None] if "walls" in told else None
+        one = jnp.ones_like(x[:, 0])
+        view = _View(x, y, seen, sizes.radius * one, where[0] * one, where[1] * one, walls)
+        velocity = chosen(_Perception(view))  # type: ignore[arg-type]
+        return (jnp.transpose(velocity[0]),)
+
+    words = {
         "others": "those that the robot perceives, from where it is, in its own frame, "
         f"robots' radius {sizes.radius:g}; (0, 0) is nobody",
         "velocity": "in its own frame, world units per step",
     }
-    return Program(act, inputs, ("velocity",), {**about, **told})
+    if "walls" in inputs:
+        words["walls"] = "the nearest point of each wall, likewise, opposite walls two places apart"
+    return Program(act, inputs, ("velocity",), {**about, **words})
 
 
 def _remembered(memory: Array, objective: Array, count: int, sizes: _Scale) -> tuple[Array, Array, Array]:
