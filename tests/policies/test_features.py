@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from murmurate.policies import Sizes
-from murmurate.policies.features import MEAN, counted, roominess, stretched
+from murmurate.policies.features import LEAST_MEAN, MEAN, NEIGHBOR, counted, roominess, stretched
 
 SIZES = Sizes(8, 40.0, 40.0, 1.0, 5.0, 1.0, False)
 
@@ -40,7 +40,7 @@ def test_the_least_ring_is_as_roomy_as_it_must_be_whatever_its_number(robots):
     assert roomy(ring(robots, 2 * least_radius(robots)))[0] == pytest.approx(np.tanh(np.log(2)), abs=0.1)
 
 
-@given(mean=st.floats(2.0, 500.0), first=st.floats(0.01, 2000.0), second=st.floats(0.01, 2000.0))
+@given(mean=st.floats(LEAST_MEAN, 500.0), first=st.floats(0.01, 2000.0), second=st.floats(0.01, 2000.0))
 def test_stretching_keeps_order_and_puts_the_mean_at_one_place(mean, first, second):
     distances = jnp.log(jnp.asarray([[first, second, mean, 1.0, 0.5]]))
     found = np.asarray(stretched(distances, jnp.asarray([mean])))[0]
@@ -56,6 +56,7 @@ def test_neighbours_on_least_rings_lie_at_nearly_the_same_place():
         mean = jnp.asarray([mean_distance(points) / 5.0])
         places.append(float(stretched(jnp.asarray([[plain[-1]]]), mean)[0, 0]))
     assert np.ptp(places) < np.ptp(plain) / 10
+    np.testing.assert_allclose(places, np.log(NEIGHBOR), atol=0.2)
 
 
 def test_the_near_are_counted_and_the_far_are_shared():

@@ -30,7 +30,7 @@ __all__ = ["COMPARISON", "SCHEDULERS", "SENSINGS", "Cell", "Comparison", "cells"
 COMPARISON = "comparison.json"
 
 SENSINGS: dict[str, SensingConfig] = {
-    "global": SensingConfig(kind="global", rotation=True, reflection=True),
+    "global": SensingConfig(kind="global", rotation=True, reflection=True, walls=True),
     "visible": SensingConfig(kind="visible", rotation=True, reflection=True),
     "chiral": SensingConfig(kind="visible", rotation=True),
     "noisy": SensingConfig(kind="visible", rotation=True, reflection=True, range_noise=0.02, bearing_noise=0.01),

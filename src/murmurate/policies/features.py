@@ -21,13 +21,20 @@ __all__ = ["SHADOWS", "Surroundings", "measured", "pair_channels", "radial_basis
 SHADOWS = 6
 """Channels of `_shadows`."""
 
-NEAREST, FARTHEST, MEAN = 0.4, 16.0, 8.0
-"""Ends of the radial basis, and where the mean distance lies in it if distances are stretched; in safe distances."""
+NEAREST, FARTHEST = 0.4, 16.0
+"""Ends of the radial basis, in safe distances."""
+
+NEIGHBOR, MEAN = 2.0, 8.0
+"""Where the neighbours on a ring and the mean distance lie in it if distances are stretched, in safe distances."""
+
+NEIGHBOR_FACTOR, LEAST_NEIGHBOR = -0.2, 1 / 3
+"""Neighbours on a ring are as far as the root of the mean distance times this factor's exponential; and the logarithm
+of the least distance that is stretched to theirs, in safe distances."""
 
 ROOM, ROOM_WIDTH = (-0.6, -0.3, 0.0, 0.3, 0.6, 1.2), 0.3
 """Centres of the bells in how roomy it is, logarithms of widths in least ones, and their own width."""
 
-LEAST_MEAN = 2.0
+LEAST_MEAN = 2.5
 """Mean distance, in safe distances, of crowds so tight that they are stretched no further."""
 
 
@@ -37,12 +44,14 @@ class Surroundings(NamedTuple):
     Attributes:
         ux: x of the unit vectors towards the others; 0 on the diagonal.
         uy: y of them.
+        logarithm: Of the distances in safe distances, stretched where they are measured free of scale.
         pair: Scalars of each pair, unchanged by moving or turning the swarm.
         robot: Scalars of each robot, likewise.
     """
 
     ux: Float[Array, "robots robots *batch"]
     uy: Float[Array, "robots robots *batch"]
+    logarithm: Float[Array, "robots robots *batch"]
     pair: Float[Array, "pair_channels robots robots *batch"]
     robot: Float[Array, "robot_channels robots *batch"]
 
@@ -77,26 +86,29 @@ def radial_basis(logarithm: Float[Array, "*shape"], count: int) -> Float[Array, 
 def stretched(
     logarithm: Float[Array, "robots robots *batch"], mean: Float[Array, "robots *batch"]
 ) -> Float[Array, "robots robots *batch"]:
-    """Stretches what is beyond the safe distance so that the mean distance always lies at the same place.
+    """Stretches what is beyond the safe distance so that neighbours and the mean always lie at the same two places.
 
     On the smallest ring of N robots that all see each other the mean distance grows as N^2 and that of neighbours as N,
-    its geometric mean with the safe distance: stretched so, neighbours lie at the same place whatever N.
+    in proportion to its geometric mean with the safe distance. In between logarithms are stretched evenly.
 
     Args:
         logarithm: Of the distances, in safe distances; the observer is the first axis.
         mean: Mean distance of those that each robot sees, in safe distances.
     """
-    factor = math.log(MEAN) / jnp.log(jnp.maximum(mean, LEAST_MEAN))
-    return jnp.where(logarithm > 0, logarithm * factor[:, None], logarithm)
+    middle = jnp.log(jnp.maximum(mean, LEAST_MEAN))[:, None]
+    near = jnp.maximum(0.5 * middle + NEIGHBOR_FACTOR, LEAST_NEIGHBOR)
+    inner = logarithm * (math.log(NEIGHBOR) / near)
+    outer = math.log(NEIGHBOR) + (logarithm - near) * (math.log(MEAN / NEIGHBOR) / (middle - near))
+    return jnp.where(logarithm > near, outer, jnp.where(logarithm > 0, inner, logarithm))
 
 
 def counted(others: Float[Array, "robots *batch"], count: int) -> Float[Array, "basis robots *batch"]:
     """Weights by which sums over a robot's view are alike on rings of any size, basis function by basis function.
 
-    Near by, so many fit in and they are counted; those as far as the mean distance are counted by their share; in
-    between, where on a ring their number grows as a power of N, by that.
+    As near as neighbours, so many fit in and they are counted; those as far as the mean distance are counted by their
+    share; in between, where on a ring their number grows as a power of N, by that.
     """
-    place = jnp.clip(2 * centers(count) / math.log(MEAN) - 1, 0.0, 1.0)
+    place = jnp.clip((centers(count) - math.log(NEIGHBOR)) / math.log(MEAN / NEIGHBOR), 0.0, 1.0)
     return (MEAN / others) ** place.reshape((-1,) + (1,) * others.ndim)
 
 
@@ -221,4 +233,4 @@ def measured(
         robot += [near, sx * px + sy * py]
     if scale_free:
         robot.append(roominess(mean, others, sizes))
-    return Surroundings(ux, uy, pair, jnp.concatenate(robot))
+    return Surroundings(ux, uy, logarithm, pair, jnp.concatenate(robot))

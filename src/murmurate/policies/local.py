@@ -5,15 +5,15 @@ Robot k moves along unit vectors u_ki towards those that it perceives, and their
     v_k = sum over i of w(d_ki) (g_ki u_ki + h_ki perp(u_ki)) + mean over i of (g'_ki u_ki + h'_ki perp(u_ki)),
 
 with coefficients that depend on the distances and angles in its own view alone. Who matters most is summed up: who is
-near (w falls off within two safe distances, and only so many robots fit there), and who is about to hide, to be hidden,
-or to be hidden behind the robot itself, however far (w is bounded by their number). Everybody else is averaged. What is
-far is measured by the mean distance of all that are seen, what is counted enters by its logarithm, and two things are
-the same on every ring, however many robots it has: how far a robot stands out from the line between its neighbours
-on the hull of what it sees, and how much wider that is than it must be. So nothing grows with the swarm or its width,
-and the same weights act in swarms larger than those they were trained in.
+near (w falls off about where neighbours are on a ring, and only so many robots fit there), and who is about to hide, to
+be hidden, or to be hidden behind the robot itself, however far (w is bounded by their number). Everybody else is
+averaged. What is far is measured by the mean distance of all that are seen, and so are neighbours on a ring; what is
+counted enters by its logarithm, and two things are the same on every ring, however many robots it has: how far a robot
+stands out from the line between its neighbours on the hull of what it sees, and how much wider that is than it must be.
+So nothing grows with the swarm or its width, and the same weights act in swarms larger than those they were trained in.
 
 Lengths are taken in radii as the robot perceives them, so that its unit of length drops out; turning its frame turns
-its velocity with it.
+its velocity with it. Where walls are perceived, nobody goes more than a share of its way to one in a step.
 """
 
 from __future__ import annotations
@@ -149,7 +149,7 @@ class LocalPolicy(eqx.Module):
         nodes = jnp.tanh(self.node(jnp.concatenate([_compressed(around.robot), outline.robot])))
         pairs = jnp.concatenate([_compressed(around.pair), outline.pair])
         edges = jnp.tanh(self.pair(pairs) + self.mine(nodes)[:, :, None])
-        weight = self._weight(around, square)
+        weight = self._weight(around)
         vx, vy = self._sum(around, self.head(edges), weight, seen)
         if sizes.landmark:
             ux, uy, _ = point(px, py, self.basis, sizes.safe_distance)
@@ -158,13 +158,13 @@ class LocalPolicy(eqx.Module):
         velocity = bounded(vx, vy, sizes.max_speed)
         return velocity if view.walls is None else braked(velocity, view.walls * scale[:, None, None])
 
-    def _weight(self, around: Surroundings, square: Array) -> Array:
+    def _weight(self, around: Surroundings) -> Array:
         """How much each robot seen counts, besides in the mean."""
         hiding, _, hidden, _, behind, _ = around.pair[-SHADOWS:]
         critical = jnp.tanh(hiding + hidden + behind)
         # However many they are, they weigh no more than so many.
         most = CRITICAL / (CRITICAL + jnp.sum(critical, axis=1))[:, None]
-        near = jnp.exp(-square / (2 * self.sizes.safe_distance) ** 2)
+        near = jnp.exp(-jnp.exp(2 * around.logarithm) / 4)
         return jnp.maximum(near, most * critical)
 
     def _sum(self, around: Surroundings, head: Any, weight: Array, seen: Array) -> tuple[Array, Array]:
