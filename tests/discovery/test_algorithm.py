@@ -248,6 +248,20 @@ def test_without_a_random_share_a_crowd_may_begin_as_it_is(tmp_path):
     np.testing.assert_allclose(np.abs(state.positions), 1.03, rtol=1e-6)
 
 
+def test_a_symmetric_share_begins_exactly_symmetric_and_only_the_base():
+    discovery = Discovery(replace(PROBLEM, base=replace(BASE, symmetric_share=0.5)))
+    snapshot = discovery.begin()
+    counts = []
+    for index in range(2):
+        start = discovery._training_world(index, snapshot).start
+        positions = np.moveaxis(np.asarray(start.sample(jax.random.key(1), 400)), -1, 0)
+        # Turned by half a turn around the origin, each of these families is what it was.
+        turned = np.abs(positions[:, :, None] + positions[:, None]).max(axis=-1).min(axis=2).max(axis=1)
+        counts.append(int((turned < 1e-4).sum()))
+    assert 160 < counts[0] < 240
+    assert counts[1] == 0
+
+
 @pytest.mark.parametrize(
     "fields",
     [
@@ -256,6 +270,7 @@ def test_without_a_random_share_a_crowd_may_begin_as_it_is(tmp_path):
         {"noise": float("inf")},
         {"random_share": 1.5},
         {"random_spread": 0.0},
+        {"symmetric_share": -0.1},
     ],
 )
 def test_no_such_stage(fields):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, get_args
 
 import equinox as eqx
 import jax
@@ -30,6 +30,7 @@ from murmurate.learning import (
 from murmurate.policies import Sizes, make_networks
 from murmurate.world import (
     Anywhere,
+    Family,
     Layouts,
     Mixture,
     Perceived,
@@ -40,9 +41,16 @@ from murmurate.world import (
     World,
     draw_starts,
     make_start,
+    symmetric_starts,
 )
 
 __all__ = ["Discovery", "Snapshot", "advance_together", "policy_name"]
+
+SYMMETRIC = 128
+"""Symmetric starts of each family that training episodes begin at."""
+
+SEEDS = 2**33
+"""Seeds that evaluations draw by are less than this."""
 
 
 @dataclass(frozen=True)
@@ -87,6 +95,8 @@ class Discovery:
         self.world = _with_array_leaves(problem.evaluation_world())
         if problem.base.random_share:
             make_start(StartConfig(kind="random"), problem.world)
+        if problem.base.symmetric_share:
+            self._symmetric()
         self._sensing = problem.sensing if problem.policy.kind == "local" else None
         self._key = jax.random.key(problem.seed)
         self._parts = tuple(Discovery(part) for part in problem.parts()) or (self,)
@@ -249,9 +259,22 @@ class Discovery:
             # Not one of the starts drawn once, but always another.
             first = Anywhere(robots=sizes.robots, **place)
         start = Mixture(first, Anywhere(robots=sizes.robots, spread=stage.random_spread, **anywhere), share)
+        if self.problem.base.symmetric_share:
+            share = stage.symmetric_share if index == 0 else 0.0
+            start = Mixture(start, Layouts(points=self._symmetric(), noise=0.0, **place), share)
         weights: WeightsConfig = stage.weights
         by_robot = self.problem.policy.credit == "robots"
         return _with_array_leaves(World.create(sizes, start, self.problem.objective, weights, stage.horizon, by_robot))
+
+    def _symmetric(self) -> Float[Array, "starts robots 2"]:
+        """Draws exactly symmetric starts, as many of each family; none of them is ever one of an evaluation's.
+
+        Raises:
+            InputError: One of them does not fit.
+        """
+        world, seed = self.problem.world, self.problem.seed + SEEDS
+        names: list[Family] = [name for name in get_args(Family) if name != "rings" or world.robots >= 4]
+        return jnp.asarray(np.concatenate([symmetric_starts(name, world, SYMMETRIC, seed) for name in names]), float)
 
     def _environment(self, index: int, snapshot: Snapshot) -> Any:
         """What a policy is trained in: the world, each action kept up, and what robots perceive of it."""
