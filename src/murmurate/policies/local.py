@@ -46,7 +46,7 @@ __all__ = ["LocalPolicy", "LocalValue", "Perception", "View", "ways"]
 
 
 BRAKE = 0.2
-"""Share of its way to a wall that a robot goes in a step, at most. A move that lasts 4 steps still ends before it."""
+"""Share of its way to a wall that a robot goes in a step, at most; moves of up to 5 steps end before it."""
 
 CRITICAL = 6.0
 """Lines of sight about to be crossed weigh, all together, less than so many robots near by."""

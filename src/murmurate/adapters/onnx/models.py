@@ -159,7 +159,8 @@ def _view(run: Run, positions: np.ndarray, rng: np.random.Generator) -> np.ndarr
 
 def _walls(world: WorldConfig, position: np.ndarray) -> np.ndarray:
     """Returns the nearest point of each wall from where a robot is."""
-    x, y = np.clip(position, -world.half_width, world.half_width).T
+    corner = np.array([world.half_width, world.half_height])
+    x, y = np.clip(position, -corner, corner).T
     nothing = np.zeros_like(x)
     ways = [(world.half_width - x, nothing), (nothing, world.half_height - y)]
     ways += [(-world.half_width - x, nothing), (nothing, -world.half_height - y)]
