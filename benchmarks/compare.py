@@ -19,7 +19,7 @@ PARTS = (
     ("--methods", "learned", "--robots", SMALL, "--schedulers", "ssync,async-nonrigid"),
     # Larger than any that the weights were trained in.
     ("--methods", "learned", "--robots", "24,32", "--sensing", "global,visible"),
-    ("--methods", "learned", "--robots", "64", "--sensing", "global,visible", "--episodes", "32"),
+    ("--methods", "learned", "--robots", "64", "--sensing", "global,visible", "--episodes", "100"),
     ("--methods", "learned", "--robots", "4,8,16", "--starts", FAMILIES),
     # What breaks symmetry: handedness, noise, or the scheduler.
     ("--methods", "learned", "--robots", "8", "--starts", FAMILIES, "--sensing", "chiral,noisy"),
