@@ -45,7 +45,7 @@ seeds: $(VENV)/.installed  ## trains sixteen seeds of A-F (an hour or two); writ
 optima: $(VENV)/.installed  ## searches for better patterns than the best known (two hours); keeps what is better
 	$(BIN)/python -m benchmarks.optima
 
-pretrained: $(VENV)/.installed  ## trains the weights that come with the package (three quarters of an hour on one core)
+pretrained: $(VENV)/.installed  ## trains the weights that come with the package (two hours on one core)
 	$(BIN)/python -m benchmarks.pretrained
 
 compare: $(VENV)/.installed  ## learned policies and baselines, 1,000 starts a cell (hours); writes into docs/results.md

@@ -1,13 +1,16 @@
 """Compares the package's weights with the baselines, 1,000 starts a cell: `make compare` (an hour or two on two cores).
 
-python -m benchmarks.compare [--out docs/comparison] [--into docs/results.md]
+python -m benchmarks.compare [--out docs]
 
-Cells that the folder holds are not run again: delete comparison.json after new weights.
+Writes the folder comparison and into results.md (C2), and the folder comparison/C1 and into point.md (C1). Cells that
+the folders hold are not run again: delete comparison.json after new weights.
 """
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
+from pathlib import Path
 
 from murmurate.cli.main import main as murmurate
 
@@ -33,18 +36,31 @@ PARTS = (
     ("--methods", "circle", "--robots", "12", "--schedulers", "ssync,async-nonrigid"),
     ("--methods", "centroid,gradient", "--robots", "4", "--schedulers", "ssync"),
 )
+C1 = ("--objective", "C1")
+POINT = (
+    (*C1, "--methods", "learned", "--robots", ALL, "--sensing", "global,visible"),
+    (*C1, "--methods", "learned", "--robots", "24", "--sensing", "global,visible"),
+    (*C1, "--methods", "learned", "--robots", "4,8,12", "--schedulers", "ssync,async-nonrigid"),
+    (*C1, "--methods", "learned", "--robots", "8", "--starts", FAMILIES),
+    (*C1, "--methods", "circle,two-color", "--robots", "4,8,12,16", "--sensing", "global,visible"),
+)
+
+
+def compare(parts: Sequence[tuple[str, ...]], folder: Path, page: Path) -> None:
+    """Runs every part into one folder, and puts the table into a page."""
+    for place, part in enumerate(parts):
+        last = place == len(parts) - 1
+        status = murmurate(["compare", *part, "--out", str(folder), *(["--into", str(page)] if last else [])])
+        if status:
+            raise SystemExit(status)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", default="docs/comparison", help="where the cells are kept")
-    parser.add_argument("--into", default="docs/results.md", help="the page that shows the table")
-    options = parser.parse_args()
-    for place, part in enumerate(PARTS):
-        last = place == len(PARTS) - 1
-        status = murmurate(["compare", *part, "--out", options.out, *(["--into", options.into] if last else [])])
-        if status:
-            raise SystemExit(status)
+    parser.add_argument("--out", type=Path, default=Path("docs"), help="where the pages and the cells are kept")
+    docs = parser.parse_args().out
+    compare(PARTS, docs / "comparison", docs / "results.md")
+    compare(POINT, docs / "comparison" / "C1", docs / "point.md")
 
 
 if __name__ == "__main__":

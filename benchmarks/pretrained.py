@@ -1,4 +1,4 @@
-"""Trains the weights that come with the package anew: `make pretrained` (three quarters of an hour on one core).
+"""Trains the weights that come with the package anew: `make pretrained` (two hours on one core).
 
 python -m benchmarks.pretrained [--runs runs] [--only-finished]
 

@@ -35,7 +35,7 @@ def pretrained(objective: str = "C2", sensing: str = "visible", scheduler: str =
     """Opens weights that come with the package: one policy for swarms of any size, trained without further ado.
 
     Args:
-        objective: C2 (gathering anywhere).
+        objective: C2 (gathering anywhere) or C1 (gathering at the origin, which a landmark marks for all).
         sensing: What robots perceive, in frames of their own: visible (whom nobody hides), global (everybody), chiral
             (whom nobody hides, with a common handedness) or noisy (whom nobody hides, not quite where they are).
         scheduler: When they move: fsync, ssync, adversarial, async or async-nonrigid.

@@ -26,7 +26,7 @@ def refused(capsys, words, *parts):
 def test_the_weights_are_small_and_whole():
     files = [path for path in weights.FOLDER.rglob("*") if path.is_file()]
     assert 0 < sum(path.stat().st_size for path in files) <= 1_000_000
-    assert weights.available()["C2"] == ("global", "visible")
+    assert weights.available() == {"C1": ("global", "visible"), "C2": ("global", "visible")}
     for objective, sensings in weights.available().items():
         for sensing in sensings:
             run = murmurate.pretrained(objective, sensing)
@@ -47,12 +47,16 @@ def test_damaged_weights_are_refused(tmp_path, monkeypatch):
         murmurate.pretrained()
 
 
-def test_they_form_patterns_at_once():
-    run = murmurate.pretrained().of_size(6)
+@pytest.mark.parametrize("objective", ["C1", "C2"])
+@pytest.mark.parametrize("sensing", ["global", "visible"])
+def test_they_form_patterns_at_once(objective, sensing):
+    run = murmurate.pretrained(objective, sensing).of_size(6)
     ran = run.rollout(20, key=3)
     seen = murmurate.geometry.visible(np.moveaxis(ran.final, 0, -1), 1.0, run.experiment.world.scan_radius)
     assert seen.sum() / (20 * 6 * 5) > 0.95
     assert ran.at_rest.sum() >= 18
+    if objective == "C1":
+        assert np.linalg.norm(ran.final.mean(axis=1), axis=1).max() < run.experiment.world.safe_distance
 
 
 def test_a_scheduler_may_be_chosen():
@@ -113,7 +117,7 @@ def test_show_needs_no_run(tmp_path, capsys):
     [
         (["--robots", "1"], ["robots = 1: must be an integer >= 2"]),
         (["--start", "file"], ["start = 'file': must be one of random, scattered, distributed, packed"]),
-        (["--objective", "C1"], ["objective = 'C1': must be one of C2"]),
+        (["--objective", "C3"], ["objective = 'C3': must be one of C1, C2"]),
         (["--robots", "many"], ["--robots"]),
     ],
 )

@@ -23,8 +23,9 @@ from murmurate.sweeps.plan import read_sweep
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
-WRITTEN_BY_PROGRAMS = {"results.md", "discoveries.md", "reproduction/report.md", "comparison/comparison.md"}
 PAGES = sorted(page.relative_to(DOCS).as_posix() for page in DOCS.rglob("*.md"))
+WRITTEN_BY_PROGRAMS = {"results.md", "point.md", "discoveries.md", "reproduction/report.md"}
+WRITTEN_BY_PROGRAMS |= {page for page in PAGES if page.startswith("comparison/")}
 BY_HAND = [page for page in PAGES if page not in WRITTEN_BY_PROGRAMS]
 
 _NUMBERS = "--{0}.ppo.updates 2 --{0}.ppo.steps 4 --{0}.ppo.worlds 8 --{0}.ppo.minibatches 2"

@@ -31,7 +31,7 @@ def run(argv: Sequence[str]) -> int:
     parser.add_argument("--out", metavar="DIR", help="where to write (default: RUN/figures, or a folder in runs)")
     parser.add_argument("--robots", type=int, metavar="INT", help="swarm size, without RUN (default: 8)")
     parser.add_argument("--start", metavar="KIND", help="random, scattered, distributed or packed (default: random)")
-    parser.add_argument("--objective", metavar="C1|C2", help="where to gather: C2 anywhere (default)")
+    parser.add_argument("--objective", metavar="C1|C2", help="where to gather: C2 anywhere (default), C1 at the origin")
     parser.add_argument("--sensing", metavar="NAME", help="visible (default), global, chiral or noisy")
     parser.add_argument("--scheduler", metavar="NAME", help="when they move (default: fsync)")
     parser.add_argument("--seed", type=int, metavar="INT", help="seed of the starts (default: 0)")
