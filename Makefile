@@ -48,7 +48,7 @@ optima: $(VENV)/.installed  ## searches for better patterns than the best known 
 pretrained: $(VENV)/.installed  ## trains the weights that come with the package (two hours on one core)
 	$(BIN)/python -m benchmarks.pretrained
 
-compare: $(VENV)/.installed  ## learned policies and baselines, 1,000 starts a cell (hours); writes into docs/results.md
+compare: $(VENV)/.installed  ## learned policies and baselines, 1,000 starts a cell (hours); writes into docs/results.md and point.md
 	$(BIN)/python -m benchmarks.compare
 
 clean:
