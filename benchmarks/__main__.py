@@ -20,7 +20,7 @@ from benchmarks.cases import SIZED, STEP, TRAINING, Size, all_cases, batches
 from benchmarks.ceilings import Extent
 from benchmarks.summary import summary
 from benchmarks.timing import Case, measure
-from murmurate import view
+from murmurate import plots
 
 QUICK = Size(
     robots=(4, 10),
@@ -126,7 +126,7 @@ def _remade(options: argparse.Namespace) -> list[str]:
 def _write(data: dict[str, Any], options: argparse.Namespace) -> None:
     picture = None
     if options.figure:
-        view.save(figure.figure(data), options.figure, dpi=150)
+        plots.save(figure.figure(data), options.figure, dpi=150)
         picture = os.path.relpath(options.figure, options.out.parent) if options.out else None
     text = report.markdown(data, picture)
     print(text, end="")

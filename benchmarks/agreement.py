@@ -20,9 +20,9 @@ import jax
 import numpy as np
 
 from benchmarks.cases import Size, chunk, scattered, sized
-from murmurate.experiments.tables import as_markdown
 from murmurate.geometry import touches, visible
 from murmurate.learning import train_chunk
+from murmurate.runs.table import as_markdown
 
 SWARMS = ((4, 4096), (10, 4096), (32, 512), (64, 128), (128, 16), (256, 4))
 """Swarm sizes, and how many swarms of each."""

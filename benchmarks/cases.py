@@ -16,9 +16,18 @@ from benchmarks.ceilings import Extent, ceiling_cases
 from benchmarks.peers import peer_cases
 from benchmarks.timing import Case
 from murmurate.discovery import Discovery
-from murmurate.experiments import presets
-from murmurate.learning import Chunk, restarting_step, train_chunk
-from murmurate.world import Anywhere, SensingConfig, StartConfig, World, WorldConfig, draw_frames, grown, perceive
+from murmurate.learning import Chunk, step_with_autoreset, train_chunk
+from murmurate.runs import presets
+from murmurate.world import (
+    SensingConfig,
+    StartConfig,
+    UniformStart,
+    World,
+    WorldConfig,
+    draw_frames,
+    perceive,
+    scaled_to,
+)
 from murmurate.world.starts import layout
 
 __all__ = [
@@ -108,15 +117,15 @@ def batches(robots: int, size: Size) -> list[int]:
 
 def sized(robots: int) -> World:
     """The world of the experiment grown to a swarm; it is never asked for fresh starts."""
-    config = grown(presets.preset(EXPERIMENT).world, robots)
+    config = scaled_to(presets.preset(EXPERIMENT).world, robots)
     place = {"half_width": config.half_width, "half_height": config.half_height, "radius": config.radius}
-    world = World.create(config, Anywhere(robots=robots, **place))
+    world = World.create(config, UniformStart(robots=robots, **place))
     return jax.tree.map(lambda x: jnp.asarray(x) if isinstance(x, int | float) else x, world)
 
 
 def scattered(robots: int, worlds: int) -> jax.Array:
     """Swarms around the world's rim, each a little different; on the way in, as in any training, nobody is far."""
-    config: WorldConfig = grown(presets.preset(EXPERIMENT).world, robots)
+    config: WorldConfig = scaled_to(presets.preset(EXPERIMENT).world, robots)
     points = layout(StartConfig(kind="scattered"), config).astype(np.float32)[..., None]
     noise = np.random.default_rng(0).uniform(-1, 1, (robots, 2, worlds)).astype(np.float32)
     return jnp.asarray(0.8 * points + config.radius * noise)
@@ -137,7 +146,7 @@ def stepping(robots: int, worlds: int, size: Size, restart: bool = False) -> Cas
         keys = jax.random.split(jax.random.key(3), steps)
 
         def one(world: Any, state: Any, velocities: Any, key: Any) -> tuple[Any, Any]:
-            return restarting_step(world, state, velocities, key)[:2] if restart else world.step(state, velocities)
+            return step_with_autoreset(world, state, velocities, key)[:2] if restart else world.step(state, velocities)
 
         @jax.jit
         def run(world: Any, state: Any, velocities: Any, keys: Any) -> Any:

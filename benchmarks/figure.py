@@ -14,8 +14,8 @@ from matplotlib.ticker import FuncFormatter, NullLocator
 from benchmarks import peers
 from benchmarks.cases import SENSING, SIZED, STEP
 from benchmarks.summary import costs
-from murmurate.view.page import LEFT, TEXT, add_axes, add_legend, draw_head, new_page, style_axes
-from murmurate.view.palette import INK, MUTED, policy_color
+from murmurate.plots.page import LEFT, TEXT, add_axes, add_legend, draw_head, new_page, style_axes
+from murmurate.plots.palette import INK, MUTED, policy_color
 
 __all__ = ["figure"]
 

@@ -17,15 +17,15 @@ from pathlib import Path
 
 import numpy as np
 
-from murmurate import view
-from murmurate.experiments.optima import EXACT
-from murmurate.experiments.presets import preset
-from murmurate.patterns import best_known, convex_layers, symmetry, upright
-from murmurate.patterns.annealing import AnnealingConfig
-from murmurate.patterns.best_known import BestKnown
-from murmurate.patterns.formation import Target
-from murmurate.patterns.optimum import OptimumConfig, hop, search
-from murmurate.patterns.polish import polish
+from murmurate import plots
+from murmurate.analysis import best_known, convex_layers, symmetry, upright
+from murmurate.analysis.optimum.annealing import AnnealingConfig
+from murmurate.analysis.optimum.best_known import BestKnown
+from murmurate.analysis.optimum.formation import Target
+from murmurate.analysis.optimum.polish import polish
+from murmurate.analysis.optimum.search import OptimumConfig, hop, search
+from murmurate.runs.optima import EXACT
+from murmurate.runs.presets import preset
 
 PICTURE = Path("docs/figures/best-known.png")
 TABLE = Path(best_known.__file__).with_name(best_known.TABLE)
@@ -131,7 +131,7 @@ def draw(found: dict[str, BestKnown]) -> None:
     """Draws the best-known patterns of one family: robots of radius 1 that gather anywhere."""
     entries = [found[key] for key in sorted(found) if key.startswith("1 5 C2 ") and found[key].robots > 2]
     patterns = [
-        view.PlatePattern(
+        plots.PlatePattern(
             upright(entry.positions),
             entry.radius,
             entry.scan_radius,
@@ -141,8 +141,8 @@ def draw(found: dict[str, BestKnown]) -> None:
         for entry in entries
     ]
     title = f"Best-known patterns of {entries[0].robots} to {entries[-1].robots} robots"
-    figure = view.plate_figure(patterns, title, "no predefined point; all at one scale", columns=7)
-    view.save(figure, PICTURE, dpi=110)
+    figure = plots.plate_figure(patterns, title, "no predefined point; all at one scale", columns=7)
+    plots.save(figure, PICTURE, dpi=110)
 
 
 if __name__ == "__main__":

@@ -97,7 +97,7 @@ def _stable_baselines() -> Case:
     envs, rollout = 8, 64
 
     def prepare() -> Callable[[], Any]:
-        ours = importlib.import_module("murmurate.adapters.gymnasium")
+        ours = importlib.import_module("murmurate.interop.gymnasium")
         ppo = importlib.import_module("stable_baselines3").PPO
         make = importlib.import_module("stable_baselines3.common.env_util").make_vec_env
         env = make(ours.ENV_ID, n_envs=envs, seed=0, env_kwargs={"robots": AGENTS, "objective": "C1"})

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from benchmarks.timing import Case
-from murmurate.learning import Batch, Chunk, collect, policy_loss, restarting_step, value_loss
+from murmurate.learning import Batch, Chunk, collect, policy_loss, step_with_autoreset, value_loss
 
 __all__ = ["PART", "PIECES", "SIGNALS", "piece_cases"]
 
@@ -112,7 +112,7 @@ def _stepping(material: Material) -> Callable[[], Any]:
 
     @eqx.filter_jit
     def run(env: Any, states: Any, actions: Any, keys: Any) -> Any:
-        return jax.lax.scan(lambda state, now: restarting_step(env, state, *now)[:2], states, (actions, keys))
+        return jax.lax.scan(lambda state, now: step_with_autoreset(env, state, *now)[:2], states, (actions, keys))
 
     return lambda: run(material.chunk.env, material.states, actions, keys)
 

@@ -14,9 +14,9 @@ import subprocess
 import sys
 from pathlib import Path
 
-from murmurate.experiments import storage
-from murmurate.experiments.run import METRICS, Run
-from murmurate.experiments.weights import FOLDER
+from murmurate.runs import storage
+from murmurate.runs.pretrained import FOLDER
+from murmurate.runs.run import METRICS, Run
 
 EVERY = 10
 """Of the metrics, the package holds one row in so many: enough to draw how training went."""

@@ -9,7 +9,7 @@ from typing import Any
 
 from benchmarks import ceilings, peers, pieces
 from benchmarks.cases import RESTARTS, SENSING, SIZED, STEP, TRAINING
-from murmurate.experiments.tables import as_markdown
+from murmurate.runs.table import as_markdown
 
 __all__ = ["machine_line", "markdown", "speed_table", "write"]
 

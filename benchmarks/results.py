@@ -15,14 +15,14 @@ import jax
 import numpy as np
 
 import murmurate
-from murmurate import view
-from murmurate.discovery import bound_steps, judge
-from murmurate.experiments import standings, tables
-from murmurate.experiments.config import check_same
-from murmurate.experiments.evaluation import EPISODES
-from murmurate.experiments.paper import EXPERIMENTS
-from murmurate.experiments.presets import preset
-from murmurate.experiments.run import Run
+from murmurate import plots
+from murmurate.discovery import bound_steps, check_validity
+from murmurate.runs import comparison_page, table
+from murmurate.runs.evaluate import EPISODES
+from murmurate.runs.experiment import check_same
+from murmurate.runs.paper import EXPERIMENTS
+from murmurate.runs.presets import preset
+from murmurate.runs.run import Run
 from murmurate.world import StartConfig, draw_starts, make_start
 
 POLICIES = ("equivariant", "central")
@@ -54,10 +54,10 @@ def other_starts(run: Run) -> list[str]:
         key = jax.random.key(10_000 + place)
         points = draw_starts(make_start(config, world), key, EPISODES)
         ran = run.rollout(points)
-        verdict = judge(ran, world)
+        validity = check_validity(ran, world)
         bound = np.mean([bound_steps(a, b, world.max_speed) for a, b in zip(points, ran.final, strict=True)])
-        crashed = int((~verdict.collision_free).sum())
-        cells.append(f"{int(verdict.valid.sum())} ({crashed}) {ran.lengths.mean() / bound:.2f}")
+        crashed = int((~validity.collision_free).sum())
+        cells.append(f"{int(validity.valid.sum())} ({crashed}) {ran.lengths.mean() / bound:.2f}")
     return cells
 
 
@@ -66,22 +66,22 @@ def write(runs: list[Path], out: Path) -> None:
     figures = out / "figures"
     figures.mkdir(parents=True, exist_ok=True)
     firsts = [folder for folder in runs if folder.name.endswith("equivariant-seed0")]
-    records = [view.Record.open(folder) for folder in firsts]
-    view.save(view.patterns_figure(records, [record.name for record in records]), figures / "patterns.png", dpi=110)
+    records = [plots.Record.open(folder) for folder in firsts]
+    plots.save(plots.patterns_figure(records, [record.name for record in records]), figures / "patterns.png", dpi=110)
     for record in records:
         if record.name == "C":
-            view.save(view.discovery_figure(record), figures / "discovery-C.png", dpi=110)
-    rows = tables.results(runs)
+            plots.save(plots.discovery_figure(record), figures / "discovery-C.png", dpi=110)
+    rows = table.results(runs)
     others = [(record.name, *other_starts(murmurate.load(str(f)))) for record, f in zip(records, firsts, strict=True)]
     page = PAGE.format(
         machine=machine(runs[0]),
-        results=tables.as_markdown(tables.RESULTS, rows),
-        others=tables.as_markdown(("", *OTHER_STARTS), others),
+        results=table.as_markdown(table.RESULTS, rows),
+        others=table.as_markdown(("", *OTHER_STARTS), others),
         commands="`make results`",
     )
     path = out / "results.md"
     # What `murmurate compare --into` put there stays.
-    compared = standings.kept(path.read_text("utf-8")) if path.exists() else ""
+    compared = comparison_page.kept(path.read_text("utf-8")) if path.exists() else ""
     path.write_text(f"{page}\n{compared}" if compared else page, encoding="utf-8")
 
 

@@ -12,15 +12,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from murmurate import view
-from murmurate.experiments import catalogues, tables
-from murmurate.experiments.evaluation import EPISODES
-from murmurate.experiments.paper import EXPERIMENTS
-from murmurate.experiments.presets import preset
-from murmurate.patterns import Catalogue, Finding, PatternClass, unmatched, upright
-from murmurate.patterns.formation import Target
-from murmurate.patterns.optimum import Formation, OptimumConfig, annealed
-from murmurate.patterns.polish import polish
+from murmurate import plots
+from murmurate.analysis import Catalogue, Finding, PatternClass, unmatched, upright
+from murmurate.analysis.optimum.formation import Target
+from murmurate.analysis.optimum.polish import polish
+from murmurate.analysis.optimum.search import Formation, OptimumConfig, annealed
+from murmurate.runs import catalogues, table
+from murmurate.runs.evaluate import EPISODES
+from murmurate.runs.paper import EXPERIMENTS
+from murmurate.runs.presets import preset
 
 WORLDS = 128
 """Parallel episodes of each training: half of the default, so that all of it takes an hour and not two."""
@@ -135,7 +135,7 @@ def row(one: Study, seeds: int) -> tuple[str, ...]:
         *(one.experiment, str(paper.robots), paper.objective),
         f"{len({finding.run for finding in findings})} of {seeds}",
         f"{len(findings)} of {episodes}",
-        f"{100 * min(gaps):.2f}%" if gaps else tables.NONE,
+        f"{100 * min(gaps):.2f}%" if gaps else table.NONE,
         *(str(len(group)) for group in counts),
     )
 
@@ -151,15 +151,15 @@ def plate(robots: int, studies: Sequence[Study], path: Path) -> None:
     subtitle = f"{len(everything.classes)} distinct among {len(found)} valid patterns; "
     subtitle += "all" if len(shown) == len(everything.classes) else f"the {len(shown)} that were found most often"
     pictures = [picture(pattern, len(found)) for pattern in shown]
-    view.save(view.plate_figure(pictures, f"Patterns of {robots} robots", subtitle, columns=7), path, dpi=110)
+    plots.save(plots.plate_figure(pictures, f"Patterns of {robots} robots", subtitle, columns=7), path, dpi=110)
 
 
-def picture(pattern: PatternClass, found: int) -> view.PlatePattern:
+def picture(pattern: PatternClass, found: int) -> plots.PlatePattern:
     """Captions one pattern of a plate."""
     best, symbol = pattern.representative, pattern.symmetry.symbol
     caption = "+".join(map(str, pattern.layers)) + ("" if not symbol else f" · {symbol}")
     note = f"{best.objective} {best.value:.4f} · {100 * pattern.count / found:.1f}%"
-    return view.PlatePattern(upright(best.positions), best.radius, best.scan_radius, caption, note)
+    return plots.PlatePattern(upright(best.positions), best.radius, best.scan_radius, caption, note)
 
 
 PAGE = """# Discoveries
@@ -216,7 +216,7 @@ def write(studies: Sequence[Study], seeds: int, out: Path) -> None:
         worlds=WORLDS,
         episodes=EPISODES,
         ends=SEARCHES * POLISHED,
-        table=tables.as_markdown(HEADER, [row(one, seeds) for one in studies]),
+        table=table.as_markdown(HEADER, [row(one, seeds) for one in studies]),
         plates="\n".join(plates),
     )
     (out / "discoveries.md").write_text(text, encoding="utf-8")

@@ -20,10 +20,10 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.vec_env import VecNormalize
 
-from murmurate.adapters.gymnasium import ENV_ID
 from murmurate.discovery import Discovery
-from murmurate.experiments import presets
-from murmurate.world import WorldConfig, grown
+from murmurate.interop.gymnasium import ENV_ID
+from murmurate.runs import presets
+from murmurate.world import WorldConfig, scaled_to
 
 ROBOTS, HORIZON, STARTS = 4, 150, 200
 OPTIONS = {"robots": ROBOTS, "objective": "C1", "horizon": HORIZON, "start": "random"}
@@ -68,7 +68,7 @@ def theirs(steps: int, chunks: int, seed: int) -> Iterator[Row]:
 
 def ours(updates: int, seed: int) -> Iterator[Row]:
     """Trains with `murmurate.learning`; yields the same."""
-    world = grown(WorldConfig(), ROBOTS)
+    world = scaled_to(WorldConfig(), ROBOTS)
     sizes = {name: getattr(world, name) for name in ("robots", "half_width", "half_height", "scan_radius")}
     stage = {"horizon": HORIZON, "repeat": 1, "ppo": {"updates": updates}, "weights": {"visible": 1.0}}
     fields = {

@@ -13,7 +13,7 @@ import numpy as np
 from benchmarks import ceilings, counts, peers
 from benchmarks.cases import EXPERIMENT, SENSING, SIZED, STEP, TRAINING, Size, chunk
 from benchmarks.timing import Case, Timing
-from murmurate.experiments import presets
+from murmurate.runs import presets
 
 __all__ = ["RANGES", "aims", "costs", "exponent", "fits", "floors", "records", "summary"]
 

@@ -18,10 +18,10 @@ from scipy.sparse.csgraph import maximum_bipartite_matching
 
 from murmurate import geometry, view, world
 from murmurate.discovery import bound_steps
-from murmurate.experiments import presets
-from murmurate.view.drawing import draw_key, draw_world, show_window
-from murmurate.view.page import LEFT, TEXT, TITLE, WIDTH, add_axes, add_legend, draw_head, new_page, style_axes
-from murmurate.view.palette import FAINT, INK, MUTED, ROBOT, SIGHT, WARNING, policy_color
+from murmurate.plots.drawing import draw_key, draw_world, show_window
+from murmurate.plots.page import LEFT, TEXT, TITLE, WIDTH, add_axes, add_legend, draw_head, new_page, style_axes
+from murmurate.plots.palette import FAINT, INK, MUTED, ROBOT, SIGHT, WARNING, policy_color
+from murmurate.runs import presets
 from murmurate.world.signals import signals
 
 FOLDER = Path(__file__).parent / "figures" / "world"

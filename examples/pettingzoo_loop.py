@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from murmurate.adapters.pettingzoo import parallel_env
+from murmurate.interop.pettingzoo import parallel_env
 from murmurate.world import SensingConfig
 
 COMFORTABLE = 6.0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gymnasium
 
-from murmurate.adapters.gymnasium import ENV_ID
+from murmurate.interop.gymnasium import ENV_ID
 
 
 def main(robots: int = 6, episodes: int = 5, horizon: int = 100, seed: int = 0) -> list[int]:

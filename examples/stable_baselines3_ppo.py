@@ -7,7 +7,7 @@ from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import VecNormalize
 
-from murmurate.adapters.gymnasium import ENV_ID
+from murmurate.interop.gymnasium import ENV_ID
 
 
 def main(robots: int = 4, steps: int = 200_000, envs: int = 8, horizon: int = 150, seed: int = 0) -> float:

@@ -10,7 +10,7 @@ import gymnasium
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
-from murmurate.adapters.gymnasium import ENV_ID
+from murmurate.interop.gymnasium import ENV_ID
 
 DEVIATION, DISCOUNT, RATE = 0.5, 0.9, 0.05
 

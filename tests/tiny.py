@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from murmurate.experiments import fields, presets
-from murmurate.experiments.config import ExperimentConfig
+from murmurate.runs import config_io, presets
+from murmurate.runs.experiment import ExperimentConfig
 
 _STAGE = {"horizon": 8, "repeat": 1, "ppo": {"updates": 4, "worlds": 8, "steps": 4, "minibatches": 2, "epochs": 1}}
 
@@ -33,5 +33,5 @@ def tiny(**overlay) -> ExperimentConfig:
 
 def write_toml(path, **overlay):
     """Writes the tiny experiment to a TOML file."""
-    path.write_text(fields.dump_toml(tiny(**overlay)))
+    path.write_text(config_io.dump_toml(tiny(**overlay)))
     return path

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from murmurate.experiments.run import Run
+    from murmurate.runs.run import Run
 
 __all__ = ["__version__", "load", "pretrained"]
 
@@ -26,7 +26,7 @@ def load(run: str | Path) -> Run:
     Raises:
         RunError: The folder is missing, unfinished, damaged or of an unknown version.
     """
-    from murmurate.experiments.run import Run  # only now, because it loads JAX
+    from murmurate.runs.run import Run  # only now, because it loads JAX
 
     return Run.open(run)
 
@@ -46,6 +46,6 @@ def pretrained(objective: str = "C2", sensing: str = "visible", scheduler: str =
     Raises:
         InputError: There are no such weights; the message lists those that there are.
     """
-    from murmurate.experiments import weights
+    from murmurate.runs import pretrained
 
-    return weights.pretrained(objective, sensing, scheduler)
+    return pretrained.pretrained(objective, sensing, scheduler)

@@ -7,7 +7,7 @@ import pytest
 
 from murmurate.cli.arguments import Parser
 from murmurate.errors import InputError, UsageError
-from murmurate.experiments import fields
+from murmurate.runs import config_io
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ def test_fields_and_own_arguments(parser):
         "world": {"radius": 2.0},
         "policy": {"kind": "central", "hidden": (8, 9), "clip": None},
     }
-    assert fields.replaced(Experiment(), data).policy.hidden == (8, 9)
+    assert config_io.replaced(Experiment(), data).policy.hidden == (8, 9)
 
 
 def test_nothing_given_is_nothing_replaced(parser):

@@ -7,9 +7,9 @@ import shutil
 import numpy as np
 import pytest
 
+from murmurate.analysis import Catalogue, Finding
 from murmurate.cli.main import main
-from murmurate.experiments import catalogues
-from murmurate.patterns import Catalogue, Finding
+from murmurate.runs import catalogues
 from tiny import write_toml
 
 

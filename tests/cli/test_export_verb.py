@@ -78,7 +78,7 @@ def test_wrong_words_are_one_line_and_write_nothing(discovered, tmp_path, monkey
 
 
 def test_a_missing_extra_says_how_to_install_it(discovered, tmp_path, monkeypatch, capsys):
-    for name in [name for name in sys.modules if name.startswith("murmurate.adapters.onnx")]:
+    for name in [name for name in sys.modules if name.startswith("murmurate.interop.onnx")]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.delattr(adapters, "onnx", raising=False)
     monkeypatch.setitem(sys.modules, "onnxruntime", None)

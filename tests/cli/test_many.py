@@ -7,7 +7,7 @@ import pytest
 from safetensors.numpy import load_file
 
 from murmurate.cli.main import main
-from murmurate.experiments.config import load
+from murmurate.runs.experiment import load
 
 
 def discover(tiny_toml, out, *words):

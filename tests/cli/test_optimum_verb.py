@@ -4,8 +4,8 @@ import json
 
 import pytest
 
+from murmurate.analysis.optimum.best_known import BestKnown, load
 from murmurate.cli.main import main
-from murmurate.patterns.best_known import BestKnown, load
 
 SHORT = ["--annealing.chains", "16", "--annealing.sweeps", "150", "--polished", "3"]
 

@@ -4,12 +4,11 @@ import shutil
 
 import pytest
 
-from murmurate import view
 from murmurate.cli.main import main
-from murmurate.experiments import storage, training
-from murmurate.experiments.paper import EXPERIMENTS
-from murmurate.reports import plan as planning
-from murmurate.reports.plan import Plan, PlannedRun
+from murmurate.report import plan as planning
+from murmurate.report.plan import Plan, PlannedRun
+from murmurate.runs import storage, train
+from murmurate.runs.paper import EXPERIMENTS
 from tiny import tiny
 
 NAMES = ("tiny-central-seed0", "tiny-equivariant-seed1")
@@ -18,7 +17,7 @@ NAMES = ("tiny-central-seed0", "tiny-equivariant-seed1")
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory):
     """The two runs of the plan, by `murmurate discover`; not to be changed."""
-    from murmurate.experiments.training import discover
+    from murmurate.runs.train import discover
 
     folder = tmp_path_factory.mktemp("reproduce")
     for seed, name in enumerate(NAMES):
@@ -83,7 +82,7 @@ def test_a_quick_report_has_a_folder_of_its_own(finished):
 
 
 def test_an_interrupted_command_goes_on(work, trained, capsys, monkeypatch):
-    advance, left = training.advance_together, [3]
+    advance, left = train.advance_together, [3]
 
     def interrupted(*args):
         if not left[0]:

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from murmurate.cli.main import main
-from murmurate.experiments import presets, storage
-from murmurate.experiments.config import load
+from murmurate.runs import presets, storage
+from murmurate.runs.experiment import load
 
 FIGURE, ANIMATION = "figures/discovery.png", "figures/discovery.gif"
 
@@ -69,7 +69,6 @@ def test_policies_that_went_astray_are_no_valid_pattern(tiny_toml, tmp_path, cap
 
 
 def test_interrupting_says_how_to_go_on(tiny_toml, tmp_path, capsys, monkeypatch):
-    from murmurate.experiments import training
 
     def interrupted(*_):
         raise KeyboardInterrupt

@@ -11,7 +11,7 @@ import pytest
 import murmurate
 from murmurate.cli.main import main
 from murmurate.errors import BeyondTrainingWarning, InputError, RunError
-from murmurate.experiments import storage, weights
+from murmurate.runs import pretrained, storage
 
 
 def refused(capsys, words, *parts):
@@ -24,10 +24,10 @@ def refused(capsys, words, *parts):
 
 
 def test_the_weights_are_small_and_whole():
-    files = [path for path in weights.FOLDER.rglob("*") if path.is_file()]
+    files = [path for path in pretrained.FOLDER.rglob("*") if path.is_file()]
     assert 0 < sum(path.stat().st_size for path in files) <= 1_000_000
-    assert weights.available() == {"C1": ("global", "visible"), "C2": ("global", "visible")}
-    for objective, sensings in weights.available().items():
+    assert pretrained.available() == {"C1": ("global", "visible"), "C2": ("global", "visible")}
+    for objective, sensings in pretrained.available().items():
         for sensing in sensings:
             run = murmurate.pretrained(objective, sensing)
             assert (run.experiment.objective, run.experiment.sensing.kind) == (objective, sensing)
@@ -40,7 +40,7 @@ def test_damaged_weights_are_refused(tmp_path, monkeypatch):
     run = murmurate.pretrained()
     run.save(tmp_path / "C2" / "visible")
     monkeypatch.setattr(weights, "FOLDER", tmp_path)
-    assert weights.available() == {"C2": ("visible",)}
+    assert pretrained.available() == {"C2": ("visible",)}
     file = tmp_path / "C2" / "visible" / "policies" / "0-base.safetensors"
     file.write_bytes(file.read_bytes()[:-1] + b"\0")
     with pytest.raises(RunError, match=r"0-base\.safetensors"):

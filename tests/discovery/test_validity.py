@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from murmurate.discovery import Trajectories, bound_steps, judge
+from murmurate.discovery import Trajectories, bound_steps, check_validity
 from murmurate.world import WorldConfig
 
 WORLD = WorldConfig(robots=6, half_width=35.0, half_height=35.0, scan_radius=30.0, safe_distance=5.0)
@@ -27,12 +27,14 @@ def with_robot(number, place, configuration=None):
     return configuration
 
 
-def verdict(*configurations, at_rest=True):
+def validity(*configurations, at_rest=True):
     """Judges one episode that goes through the given configurations."""
     positions = np.stack(configurations).astype(np.float32)[None]
     steps = np.array([len(configurations) - 1])
     none = np.zeros((1, 0), int)
-    return judge(Trajectories(positions, steps, none, np.array([at_rest]), np.array([False]), {}, steps), WORLD)
+    return check_validity(
+        Trajectories(positions, steps, none, np.array([at_rest]), np.array([False]), {}, steps), WORLD
+    )
 
 
 def assert_fails(judged, *failing):
@@ -41,42 +43,42 @@ def assert_fails(judged, *failing):
 
 
 def test_a_ring_is_valid():
-    assert_fails(verdict(1.1 * ring(), ring(), ring()))
+    assert_fails(validity(1.1 * ring(), ring(), ring()))
 
 
 def test_one_pair_too_near():
-    assert_fails(verdict(ring(angles=(0, 28.9, 120, 180, 240, 300))), "safe")
-    assert_fails(verdict(ring(angles=(0, 36.5, 120, 180, 240, 300))))
+    assert_fails(validity(ring(angles=(0, 28.9, 120, 180, 240, 300))), "safe")
+    assert_fails(validity(ring(angles=(0, 36.5, 120, 180, 240, 300))))
 
 
 def test_one_robot_in_the_way():
     """From the middle of a ring, one robot hides the two pairs that are left opposite each other."""
-    assert_fails(verdict(with_robot(0, (0, 0))), "mutually_visible")
+    assert_fails(validity(with_robot(0, (0, 0))), "mutually_visible")
 
 
 def test_one_robot_out_of_reach():
-    assert_fails(verdict(ring(radius=15.1)), "gathered", "mutually_visible")
-    assert_fails(verdict(ring(radius=14.9)))
+    assert_fails(validity(ring(radius=15.1)), "gathered", "mutually_visible")
+    assert_fails(validity(ring(radius=14.9)))
 
 
 def test_not_at_rest():
-    assert_fails(verdict(ring(), at_rest=False), "at_rest")
+    assert_fails(validity(ring(), at_rest=False), "at_rest")
 
 
 def test_two_robots_swap_through_each_other():
     """Both end points are the same valid ring."""
-    assert_fails(verdict(ring(), ring()[[3, 1, 2, 0, 4, 5]]), "collision_free")
-    assert_fails(verdict(ring(), ring()[[3, 1, 2, 0, 4, 5]], ring()), "collision_free")
+    assert_fails(validity(ring(), ring()[[3, 1, 2, 0, 4, 5]]), "collision_free")
+    assert_fails(validity(ring(), ring()[[3, 1, 2, 0, 4, 5]], ring()), "collision_free")
 
 
 def test_a_robot_was_outside_for_a_moment():
-    assert_fails(verdict(ring(), with_robot(0, (35.5, 0)), ring()), "collision_free")
-    assert_fails(verdict(ring(), with_robot(0, (35.0, 0)), ring()))
+    assert_fails(validity(ring(), with_robot(0, (35.5, 0)), ring()), "collision_free")
+    assert_fails(validity(ring(), with_robot(0, (35.0, 0)), ring()))
 
 
 def test_two_robots_touched_on_the_way():
-    assert_fails(verdict(ring(), with_robot(0, (6.0, 0), with_robot(1, (6.0, 2.0))), ring()), "collision_free")
-    assert_fails(verdict(ring(), with_robot(0, (6.0, 0), with_robot(1, (6.0, 2.1))), ring()))
+    assert_fails(validity(ring(), with_robot(0, (6.0, 0), with_robot(1, (6.0, 2.0))), ring()), "collision_free")
+    assert_fails(validity(ring(), with_robot(0, (6.0, 0), with_robot(1, (6.0, 2.1))), ring()))
 
 
 def test_every_episode_is_judged_for_itself():
@@ -84,7 +86,9 @@ def test_every_episode_is_judged_for_itself():
     positions = np.stack(finals)[:, None].astype(np.float32)
     rest = np.array([True, True, True, True, False])
     zeros = np.zeros(5, int)
-    judged = judge(Trajectories(positions, zeros, np.zeros((5, 0), int), rest, np.zeros(5, bool), {}, zeros), WORLD)
+    judged = check_validity(
+        Trajectories(positions, zeros, np.zeros((5, 0), int), rest, np.zeros(5, bool), {}, zeros), WORLD
+    )
     np.testing.assert_array_equal(judged.valid, [True, False, False, False, False])
     np.testing.assert_array_equal(judged.mutually_visible, [True, False, False, True, True])
     np.testing.assert_array_equal(judged.gathered, [True, True, False, True, True])

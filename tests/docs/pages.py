@@ -18,7 +18,7 @@ from markdown_it.token import Token
 from murmurate.cli import discover
 from murmurate.cli.main import VERBS, main
 from murmurate.cli.sweep import _parser
-from murmurate.experiments import presets
+from murmurate.runs import presets
 from murmurate.sweeps.plan import read_sweep
 
 ROOT = Path(__file__).parents[2]

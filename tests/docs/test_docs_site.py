@@ -144,12 +144,12 @@ def test_the_reference_writes_arrays_as_the_source_does(pages):
 
 
 def test_the_reference_has_every_public_name(pages):
+    import murmurate.analysis
     import murmurate.discovery
     import murmurate.geometry
     import murmurate.learning
-    import murmurate.patterns
+    import murmurate.plots
     import murmurate.policies
-    import murmurate.view
     import murmurate.world
 
     for name in ("discovery", "geometry", "learning", "patterns", "policies", "view", "world"):

@@ -7,9 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 from probes import Line, clock, fresh, linear
 
-from murmurate.learning import Repeated, collect, restarting_step
+from murmurate.learning import ActionRepeat, collect, step_with_autoreset
 
-restart = jax.jit(restarting_step)
+restart = jax.jit(step_with_autoreset)
 
 
 def test_only_episodes_that_ended_begin_anew():
@@ -66,8 +66,8 @@ def test_a_rollout_goes_on_where_it_stood_and_bootstraps_from_the_end():
 
 def test_a_repeated_action_adds_up_until_the_episode_ends():
     env = clock([1.0, 2.0, 4.0, 8.0, 16.0, 32.0], terminates=False, tells=True, horizon=6)
-    repeated = Repeated(env, jnp.asarray(4))
-    after, transition = jax.jit(Repeated.step)(repeated, jnp.array([0, 3, 5, 1]), jnp.zeros((1, 4)))
+    repeated = ActionRepeat(env, jnp.asarray(4))
+    after, transition = jax.jit(ActionRepeat.step)(repeated, jnp.array([0, 3, 5, 1]), jnp.zeros((1, 4)))
     np.testing.assert_array_equal(after, [4, 6, 6, 5])
     np.testing.assert_array_equal(transition.reward, [15, 56, 32, 30])
     np.testing.assert_array_equal(transition.credit, [[15, 56, 32, 30]])
@@ -79,5 +79,5 @@ def test_an_action_kept_up_once_is_the_environments_step():
     env = Line(jnp.asarray(10))
     state = fresh(env, jax.random.key(0), 6)
     action = jnp.linspace(-1, 1, 6)[None]
-    plain, once = (jax.jit(type(e).step)(e, state, action) for e in (env, Repeated(env, jnp.asarray(1))))
+    plain, once = (jax.jit(type(e).step)(e, state, action) for e in (env, ActionRepeat(env, jnp.asarray(1))))
     jax.tree.map(np.testing.assert_array_equal, plain, once)

@@ -13,7 +13,7 @@ from benchmarks.cases import EXPERIMENT, SENSING, SIZED, STEP, TRAINING, Size, s
 from benchmarks.timing import Case, Timing
 
 from murmurate.discovery import Discovery
-from murmurate.experiments import presets
+from murmurate.runs import presets
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -15,7 +15,7 @@ import pytest
 
 import murmurate
 from murmurate.cli.main import main
-from murmurate.experiments import storage, tables
+from murmurate.runs import storage, table
 from murmurate.sweeps import plan
 from murmurate.sweeps.backend import Share
 from murmurate.sweeps.conduct import conduct, standing
@@ -49,10 +49,10 @@ def words(folder, *options):
 def finish(folder, *options):
     ended = subprocess.run(words(folder, *options), capture_output=True, text=True, timeout=300, check=False)
     assert ended.returncode in (0, 3), ended.stderr + ended.stdout
-    return ended.stdout, table(folder / "out")
+    return ended.stdout, table_of(folder / "out")
 
 
-def table(out):
+def table_of(out):
     with (out / "results.csv").open() as file:
         return {row["run"]: row for row in csv.DictReader(file)}
 
@@ -112,7 +112,7 @@ def killed_in_the_middle(folder, *options, whom=lambda process: process):
 def test_a_killed_worker_costs_nothing_and_changes_nothing(folder):
     killed, printed = killed_in_the_middle(folder)
     assert f"{killed}: to be tried again, attempt 1 failed: killed by SIGKILL" in printed
-    rows = table(folder / "out")
+    rows = table_of(folder / "out")
     assert {row["status"] for row in rows.values()} == {"done"}
     assert {name: int(row["attempts"]) for name, row in rows.items()} == {
         name: 2 if name == killed else 1 for name in rows
@@ -137,7 +137,7 @@ def test_an_interrupted_sweep_leaves_nobody_behind_and_goes_on(folder):
     assert sweep.returncode == 130
     assert told.strip().endswith("interrupted; the same command goes on")
     assert not workers(out)
-    assert "unfinished" in {row["status"] for row in table(out).values()}
+    assert "unfinished" in {row["status"] for row in table_of(out).values()}
     printed, rows = finish(folder)
     assert {row["status"] for row in rows.values()} == {"done"}
     assert f"table: {out / 'results.csv'}" in printed
@@ -162,7 +162,7 @@ def test_three_experiments_with_two_seeds_end_in_one_table(tmp_path):
         (name, seed, "done") for name in ("one", "two", "three") for seed in ("0", "1")
     }
     for name, row in rows.items():
-        assert float(row["valid"]) == tables.read_evaluation(tmp_path / "out" / name)["valid"]
+        assert float(row["valid"]) == table.read_evaluation(tmp_path / "out" / name)["valid"]
         assert f"| {name} |" in printed
     from pyarrow import parquet
 
@@ -172,7 +172,7 @@ def test_three_experiments_with_two_seeds_end_in_one_table(tmp_path):
 def test_ray_with_two_workers_one_of_which_is_killed(folder):
     killed, printed = killed_in_the_middle(folder, "--backend", "ray", whom=parent)
     assert f"{killed}: to be tried again, attempt 1 failed: the worker died" in printed
-    assert {row["status"] for row in table(folder / "out").values()} == {"done"}
+    assert {row["status"] for row in table_of(folder / "out").values()} == {"done"}
     assert not workers(folder / "out")
 
 

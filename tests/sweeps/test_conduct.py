@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from murmurate.errors import RunError
-from murmurate.experiments import storage
+from murmurate.runs import storage
 from murmurate.sweeps import plan
 from murmurate.sweeps.conduct import conduct, standing
 

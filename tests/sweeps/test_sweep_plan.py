@@ -5,7 +5,6 @@ from __future__ import annotations
 import pytest
 
 from murmurate.errors import InputError, RunError
-from murmurate.experiments import config
 from murmurate.sweeps import plan
 from tiny import tiny
 

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from murmurate.errors import InputError
-from murmurate.world import Scheduled, SchedulerConfig, StartConfig, World, WorldConfig, epochs_of, make_start
+from murmurate.world import SchedulerConfig, SchedulerWrapper, StartConfig, World, WorldConfig, epochs_of, make_start
 
 ROBOTS, STEPS, BATCH = 4, 60, 8
 # So far apart that nobody ever meets, in a world that nobody ever leaves.
@@ -30,7 +30,7 @@ def answer(step):
 
 def ran(steps=STEPS, seed=0, **scheduler):
     """Runs a scheduler; returns displacements (steps, robots, 2, batch) and epochs after every step."""
-    env = Scheduled(world(), SchedulerConfig(**scheduler))
+    env = SchedulerWrapper(world(), SchedulerConfig(**scheduler))
     places = jnp.asarray(np.broadcast_to(PLACES[..., None], (ROBOTS, 2, BATCH)))
     answers = jnp.asarray(np.array([answer(t) for t in range(steps)]))
 
@@ -70,7 +70,7 @@ def recounted(looked):
 
 
 def test_all_at_every_step_is_what_the_world_itself_does():
-    plain, env = world(), Scheduled(world(), SchedulerConfig())
+    plain, env = world(), SchedulerWrapper(world(), SchedulerConfig())
     state, same = env.state(jnp.asarray(PLACES)), plain.state(jnp.asarray(PLACES))
     for step in range(5):
         velocities = jnp.asarray(3 * np.random.default_rng(step).normal(size=(ROBOTS, 2)), jnp.float32)
@@ -164,7 +164,9 @@ def test_an_adversary_does_worse_than_chance_and_is_as_fair():
     config = WorldConfig(robots=6, half_width=45, half_height=45)
     results = {}
     for adversarial in (False, True):
-        env = Scheduled(world(config), SchedulerConfig(kind="ssync", adversarial=adversarial, within=6, rigid=False))
+        env = SchedulerWrapper(
+            world(config), SchedulerConfig(kind="ssync", adversarial=adversarial, within=6, rigid=False)
+        )
 
         def one(state, _, env=env):
             towards = -state.positions / jnp.linalg.norm(state.positions, axis=1, keepdims=True)
@@ -182,14 +184,14 @@ def test_an_adversary_does_worse_than_chance_and_is_as_fair():
 
 def test_those_who_stand_still_collide_too():
     config = WorldConfig(robots=2, half_width=20, half_height=20)
-    env = Scheduled(world(config), SchedulerConfig(kind="ssync", share=0.0, within=100))
+    env = SchedulerWrapper(world(config), SchedulerConfig(kind="ssync", share=0.0, within=100))
     state = env.state(jnp.asarray([[-1.3, 0.0], [1.3, 0.0]]))
     _, transition = env.step(state, jnp.asarray([[1.0, 0.0], [-1.0, 0.0]]))
     assert bool(transition.terminated)
 
 
 def test_not_a_number_ends_the_episode():
-    env = Scheduled(world(), SchedulerConfig(rigid=False))
+    env = SchedulerWrapper(world(), SchedulerConfig(rigid=False))
     _, transition = env.step(env.state(jnp.asarray(PLACES)), jnp.full((ROBOTS, 2), jnp.nan))
     assert bool(transition.terminated)
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from murmurate.errors import InputError
 from murmurate.world import (
-    Perceived,
+    LocalObservation,
     SensingConfig,
     StartConfig,
     World,
@@ -129,7 +129,7 @@ SMALL = WorldConfig(robots=6, half_width=40.0, half_height=40.0)
 
 def seen_world(**sensing):
     world = World.create(SMALL, make_start(StartConfig(kind="scattered"), SMALL))
-    return world, Perceived(world, world, SensingConfig(**sensing))
+    return world, LocalObservation(world, world, SensingConfig(**sensing))
 
 
 def test_robots_move_as_they_mean_to():

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from murmurate.errors import InputError
 from murmurate.geometry import clearances
-from murmurate.world import Anywhere, Layouts, Mixture, StartConfig, WorldConfig, layout, make_start
+from murmurate.world import JitteredStart, MixtureStart, StartConfig, UniformStart, WorldConfig, layout, make_start
 
 LAYOUTS = ("scattered", "distributed", "packed")
 BATCH = 32
@@ -28,7 +28,7 @@ def roomy(robots, **sizes):
 def layouts(config, world):
     """What `make_start` builds, without its trial draw."""
     points = jnp.asarray(layout(config, world)[None], jnp.float32)
-    return Layouts(points, config.noise * world.radius, world.half_width, world.half_height, world.radius)
+    return JitteredStart(points, config.noise * world.radius, world.half_width, world.half_height, world.radius)
 
 
 def assert_clean(positions, world):
@@ -75,18 +75,18 @@ def test_layouts_with_noise_are_clean(robots, kind, noise, seed):
 def test_anywhere_is_clean_however_small_the_window(robots, side, shape, spread, seed):
     """A window too small for the robots would be redrawn for ever."""
     world = roomy(robots, half_width=side, half_height=side * shape)
-    start = Anywhere(robots, world.half_width, world.half_height, world.radius, spread)
+    start = UniformStart(robots, world.half_width, world.half_height, world.radius, spread)
     assert_clean(np.asarray(draw(start, jax.random.key(seed), BATCH)), world)
 
 
 def test_small_windows_are_as_common_as_large_ones():
     """Two windows, each of a log-uniform share of each side; one robot or more in each, or all in one."""
     world = roomy(2, half_width=1000.0, half_height=1000.0)
-    start = Anywhere(40, world.half_width, world.half_height, 1e-6, 0.01)
+    start = UniformStart(40, world.half_width, world.half_height, 1e-6, 0.01)
     positions = np.asarray(draw(start, jax.random.key(0), 2000))
     # The first robot and the one nearest to it mostly share a window; the median share is that half-way in logarithms.
     apart = np.abs(positions[1:] - positions[:1]).max(axis=1).min(axis=0) / world.half_width
-    everywhere = np.asarray(draw(Anywhere(40, 1000.0, 1000.0, 1e-6, 1.0), jax.random.key(0), 2000))
+    everywhere = np.asarray(draw(UniformStart(40, 1000.0, 1000.0, 1e-6, 1.0), jax.random.key(0), 2000))
     spread_out = np.abs(everywhere[1:] - everywhere[:1]).max(axis=1).min(axis=0) / world.half_width
     assert np.median(apart) < 0.35 * np.median(spread_out)
     at_wall = (np.abs(positions) > 990.0).any(axis=(0, 1)).mean()
@@ -164,9 +164,9 @@ def test_packed_is_one_line_or_several(robots, lines):
 def test_a_mixture_draws_the_second_by_its_share():
     """The first start is on the left, the second on the right: each draw tells where it comes from."""
     place = {"half_width": 50.0, "half_height": 50.0, "radius": 1.0, "noise": 1.0}
-    left, right = (Layouts(points=jnp.array([[[x, -5.0], [x, 5.0]]]), **place) for x in (-30.0, 30.0))
+    left, right = (JitteredStart(points=jnp.array([[[x, -5.0], [x, 5.0]]]), **place) for x in (-30.0, 30.0))
     for share in (0.0, 0.25, 1.0):
-        positions = np.asarray(draw(Mixture(left, right, share), jax.random.key(2), 4096))
+        positions = np.asarray(draw(MixtureStart(left, right, share), jax.random.key(2), 4096))
         from_right = positions[:, 0] > 0
         assert (from_right[0] == from_right[1]).all(), "a configuration is of one start"
         np.testing.assert_allclose(from_right[0].mean(), share, atol=0.03)
@@ -174,7 +174,7 @@ def test_a_mixture_draws_the_second_by_its_share():
 
 def test_layouts_are_drawn_with_equal_chances():
     points = jnp.stack([jnp.array([[x, -5.0], [x, 5.0]]) for x in (-30.0, 0.0, 30.0)])
-    start = Layouts(points, noise=0.0, half_width=50.0, half_height=50.0, radius=1.0)
+    start = JitteredStart(points, noise=0.0, half_width=50.0, half_height=50.0, radius=1.0)
     positions = np.asarray(draw(start, jax.random.key(3), 4096))
     assert (positions[:, 0] == positions[:1, 0]).all()
     shares = np.unique(positions[0, 0], return_counts=True)[1] / 4096

@@ -7,7 +7,7 @@ import pytest
 
 from murmurate.errors import InputError
 from murmurate.geometry import distances
-from murmurate.world import WorldConfig, family, grown, symmetric_starts
+from murmurate.world import WorldConfig, family, scaled_to, symmetric_starts
 
 
 def is_kept_by(points, matrix):
@@ -37,7 +37,7 @@ def test_every_family_has_its_symmetry(robots):
 @pytest.mark.parametrize("name", ["polygon", "line", "grid", "rings"])
 @pytest.mark.parametrize("robots", [4, 7, 16])
 def test_starts_fit_and_differ_in_size_and_direction(name, robots):
-    world = grown(WorldConfig(), robots)
+    world = scaled_to(WorldConfig(), robots)
     starts = symmetric_starts(name, world, 50, seed=1)
     assert starts.shape == (50, robots, 2)
     assert (np.abs(starts) <= 0.81 * world.half_width).all()

@@ -1,7 +1,7 @@
 """Command-line arguments: a verb's own options, and one flag for every leaf of a configuration.
 
 A wrong command line is one line on stderr and exit status 2, never a page of usage. The flags and the TOML files of
-`murmurate.experiments.fields` are read by the same code, so that both refuse the same values in the same words.
+`murmurate.runs.config_io` are read by the same code, so that both refuse the same values in the same words.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import Any, Literal, NoReturn, get_args, get_origin
 
 from murmurate.errors import UsageError, suggestion
-from murmurate.experiments import fields
+from murmurate.runs import config_io
 
 __all__ = ["Parser"]
 
@@ -30,7 +30,7 @@ class Parser(argparse.ArgumentParser):
 
     def __init__(self, verb: str, positionals: str, description: str) -> None:
         self._flags: set[str] = set()
-        self._leaves: dict[str, fields.Leaf] = {}
+        self._leaves: dict[str, config_io.Leaf] = {}
         super().__init__(
             prog=f"murmurate {verb}",
             usage=" ".join(["murmurate", verb, *positionals.split(), "[options]"]),
@@ -53,14 +53,14 @@ class Parser(argparse.ArgumentParser):
             skip: Paths of leaves that get no flag.
         """
         groups: dict[str, Any] = {}
-        for leaf in fields.leaves(config):
+        for leaf in config_io.leaves(config):
             if leaf.path in skip:
                 continue
             section = leaf.path.rpartition(".")[0]
             if section not in groups:
                 groups[section] = self.add_argument_group(section or "experiment", _summary(config, section))
             names = [alias for path, alias in (aliases or {}).items() if path == leaf.path] + [f"--{leaf.path}"]
-            default = fields.spelled(leaf.value) or "''"
+            default = config_io.spelled(leaf.value) or "''"
             text = f"{leaf.help} (default: {default})".strip().replace("%", "%%")
             groups[section].add_argument(
                 *names, dest=leaf.path, metavar=_metavar(leaf.kind), help=text, default=argparse.SUPPRESS
@@ -75,7 +75,7 @@ class Parser(argparse.ArgumentParser):
             argv: The words after the verb.
 
         Returns:
-            The verb's own arguments, and the fields that were given, as nested dictionaries for `fields.replaced`.
+            The verb's own arguments, and the fields that were given, as nested dictionaries for `config_io.replaced`.
 
         Raises:
             UsageError: A flag is unknown, or an argument is missing or too many.
@@ -83,8 +83,8 @@ class Parser(argparse.ArgumentParser):
         """
         options = self.parse_args(self._checked(argv))
         given = {path: vars(options).pop(path) for path in self._leaves if path in options}
-        values = {path: fields.parse(self._leaves[path].kind, text, path) for path, text in given.items()}
-        return options, fields.nested(values)
+        values = {path: config_io.parse(self._leaves[path].kind, text, path) for path, text in given.items()}
+        return options, config_io.nested(values)
 
     def error(self, message: str) -> NoReturn:
         """Raises what argparse would print together with the usage."""
@@ -128,7 +128,7 @@ def _summary(config: Any, section: str) -> str | None:
 
 def _metavar(kind: Any) -> str:
     """Names a type in the help."""
-    inner, or_none = fields.optional(kind)
+    inner, or_none = config_io.optional(kind)
     if get_origin(inner) is Literal:
         text = f"{{{','.join(get_args(inner))}}}"
     elif get_origin(inner) is tuple:

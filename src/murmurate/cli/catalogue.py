@@ -10,8 +10,8 @@ from murmurate.cli.arguments import Parser
 from murmurate.errors import GREATEST, RunError, check_number
 
 if TYPE_CHECKING:
-    from murmurate.patterns import Catalogue, PatternClass
-    from murmurate.view import PlatePattern
+    from murmurate.analysis import Catalogue, PatternClass
+    from murmurate.plots import PlatePattern
 
 __all__ = ["run", "show"]
 
@@ -32,8 +32,8 @@ def run(argv: Sequence[str]) -> int:
     options, _ = parser.parse(argv)
     if options.tolerance is not None:
         check_number("--tolerance", options.tolerance, 0, GREATEST, exclusive_low=True)
-    from murmurate.experiments import catalogues
-    from murmurate.patterns import Catalogue
+    from murmurate.analysis import Catalogue
+    from murmurate.runs import catalogues
 
     out = Path(options.out)
     catalogues.look(out)
@@ -47,7 +47,7 @@ def run(argv: Sequence[str]) -> int:
 
 def show(catalogue: Catalogue, out: Path) -> None:
     """Writes a catalogue to a folder, with its plate, and prints its best classes."""
-    from murmurate.experiments import catalogues
+    from murmurate.runs import catalogues
 
     catalogues.save(catalogue, out)
     _draw(catalogue, out / PLATE)
@@ -56,7 +56,7 @@ def show(catalogue: Catalogue, out: Path) -> None:
 
 def _draw(catalogue: Catalogue, path: Path) -> None:
     """Draws the plate of a catalogue's best classes."""
-    from murmurate import view
+    from murmurate import plots
 
     robots = len(catalogue.findings[0].positions)
     classes, found = catalogue.classes, len(catalogue.findings)
@@ -64,14 +64,14 @@ def _draw(catalogue: Catalogue, path: Path) -> None:
     subtitle = f"{len(classes)} {'class' if len(classes) == 1 else 'classes'} of {found} valid patterns, best first"
     if len(shown) < len(classes):
         subtitle += f"; the first {len(shown)}"
-    plate = view.plate_figure([_picture(one, found) for one in shown], f"Patterns of {robots} robots", subtitle)
-    view.save(plate, path)
+    plate = plots.plate_figure([_picture(one, found) for one in shown], f"Patterns of {robots} robots", subtitle)
+    plots.save(plate, path)
 
 
 def _picture(one: PatternClass, found: int) -> PlatePattern:
     """Turns a class's representative so that its mirror axis stands upright, if it has one, and captions it."""
-    from murmurate import view
-    from murmurate.patterns import upright
+    from murmurate import plots
+    from murmurate.analysis import upright
 
     best = one.representative
     symbol = one.symmetry.symbol
@@ -79,7 +79,7 @@ def _picture(one: PatternClass, found: int) -> PlatePattern:
     note = f"{best.objective} {one.value:.4f}"
     if one.gap is not None:
         note += f", {100 * one.gap / (one.gap + one.value):.2f}% short"
-    return view.PlatePattern(upright(best.positions), best.radius, best.scan_radius, caption, note)
+    return plots.PlatePattern(upright(best.positions), best.radius, best.scan_radius, caption, note)
 
 
 def _layers(one: PatternClass) -> str:
@@ -89,7 +89,7 @@ def _layers(one: PatternClass) -> str:
 def _print(catalogue: Catalogue, out: Path) -> None:
     from rich.console import Console
 
-    from murmurate.experiments import catalogues, tables
+    from murmurate.runs import catalogues, table
 
     header = ("class", "found", "symmetry", "layers", "objective", "gap", "margin", "starts")
     rows = [
@@ -99,14 +99,14 @@ def _print(catalogue: Catalogue, out: Path) -> None:
             one.symmetry.name,
             _layers(one),
             f"{one.representative.objective} {one.value:.4f}",
-            tables.NONE if one.gap is None else f"{one.gap:.4f}",
+            table.NONE if one.gap is None else f"{one.gap:.4f}",
             f"{one.margin:.2f} R",
             ", ".join(f"{start} {count}" for start, count in one.starts.items()),
         )
         for one in catalogue.classes[:MOST_LISTED]
     ]
     console = Console()
-    console.print(tables.as_rich(header, rows))
+    console.print(table.as_rich(header, rows))
     if len(catalogue.classes) > MOST_LISTED:
         print(f"and {len(catalogue.classes) - MOST_LISTED} more")
     print(f"classes: {out / catalogues.CLASSES}, all findings: {out / catalogues.CATALOGUE}")

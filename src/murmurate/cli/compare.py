@@ -13,7 +13,7 @@ from murmurate.cli.arguments import Parser
 from murmurate.errors import InputError, RunError
 
 if TYPE_CHECKING:
-    from murmurate.experiments.run import Run
+    from murmurate.runs.run import Run
 
 __all__ = ["run"]
 
@@ -49,9 +49,9 @@ def run(argv: Sequence[str]) -> int:
 
 
 def _compare(options: Namespace, command: str) -> int:
-    from murmurate.baselines import BASELINES
     from murmurate.cli.progress import Progress
-    from murmurate.experiments import comparison
+    from murmurate.policies.baselines import BASELINES
+    from murmurate.runs import comparison
 
     sizes = [_whole(word) for word in _words(options.robots, "--robots")]
     sensings, schedulers = _words(options.sensing, "--sensing"), _words(options.schedulers, "--schedulers")
@@ -72,8 +72,8 @@ def _compare(options: Namespace, command: str) -> int:
 
 def _runs(options: Namespace, sensings: Sequence[str]) -> dict[str, dict[str, Run]]:
     """Returns the learned methods by name, and by what robots perceive."""
-    from murmurate.experiments.run import Run
-    from murmurate.experiments.weights import pretrained
+    from murmurate.runs.pretrained import pretrained
+    from murmurate.runs.run import Run
 
     if not options.runs:
         return {LEARNED: {eyes: pretrained(options.objective, eyes) for eyes in sensings}}
@@ -92,30 +92,30 @@ def _runs(options: Namespace, sensings: Sequence[str]) -> dict[str, dict[str, Ru
 
 def _write(options: Namespace, setting: Any) -> None:
     """Writes the table and the figures of all that the folder holds."""
-    from murmurate import view
-    from murmurate.baselines import BASELINES
-    from murmurate.experiments import comparison, standings, storage
-    from murmurate.world import grown
+    from murmurate import plots
+    from murmurate.policies.baselines import BASELINES
+    from murmurate.runs import comparison, comparison_page, storage
+    from murmurate.world import scaled_to
 
     out = Path(options.out)
     found, commands = comparison.sorted_rows(out), comparison.load(out).get("commands", [])
-    view.save(view.comparison_figure(found), out / "comparison.png")
+    plots.save(plots.comparison_figure(found), out / "comparison.png")
     pictures = [out / "comparison.png"]
     # Baselines fail in known ways: of interest is where what was learned does.
     learned = [row for row in found if row["method"] not in BASELINES] or found
     if any(row["worst"] for row in learned):
         world = setting.base.world
-        scans = {row["robots"]: grown(world, row["robots"]).scan_radius for row in found}
-        view.save(view.failures_figure(learned, world.radius, scans), out / "failures.png")
+        scans = {row["robots"]: scaled_to(world, row["robots"]).scan_radius for row in found}
+        plots.save(plots.failures_figure(learned, world.radius, scans), out / "failures.png")
         pictures.append(out / "failures.png")
     shown = {row["method"] for row in found}
     deviations = {name: one.deviations for name, one in BASELINES.items() if name in shown and one.deviations}
     notes = [f"`{name}`: {text}" for name, text in deviations.items()]
-    storage.write_text(out / "comparison.md", standings.page(found, commands, notes))
+    storage.write_text(out / "comparison.md", comparison_page.page(found, commands, notes))
     if options.into is not None:
         page = Path(options.into)
-        part = standings.page(found, commands, notes, f"{os.path.relpath(out, page.parent)}/")
-        storage.write_text(page, standings.put_into(page.read_text("utf-8"), part))
+        part = comparison_page.page(found, commands, notes, f"{os.path.relpath(out, page.parent)}/")
+        storage.write_text(page, comparison_page.put_into(page.read_text("utf-8"), part))
     print(f"table: {out / 'comparison.md'}")
     print("pictures: " + ", ".join(map(str, pictures)))
 

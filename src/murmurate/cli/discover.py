@@ -11,7 +11,7 @@ from pathlib import Path
 from murmurate.cli.arguments import Parser
 from murmurate.cli.attended import go_on_attended
 from murmurate.errors import RunError, UsageError
-from murmurate.experiments.paper import EXPERIMENTS, check_experiment
+from murmurate.runs.paper import EXPERIMENTS, check_experiment
 
 __all__ = ["run"]
 
@@ -30,10 +30,10 @@ def run(argv: Sequence[str]) -> int:
     if any(given.partition("=")[0] == "--hosts" for given in argv):
         go_on_attended()
     from murmurate.cli.progress import Progress
-    from murmurate.experiments import presets
-    from murmurate.experiments.config import read_toml
-    from murmurate.experiments.training import discover
     from murmurate.learning import hosts
+    from murmurate.runs import presets
+    from murmurate.runs.experiment import read_toml
+    from murmurate.runs.train import discover
 
     options, flags = _parser(word if word in EXPERIMENTS else "C").parse(argv)
     _join(options)
@@ -62,13 +62,13 @@ def run(argv: Sequence[str]) -> int:
 
 
 def _parser(shown: str) -> Parser:
-    from murmurate.experiments import presets
+    from murmurate.runs import presets
 
     parser = Parser("discover", "EXPERIMENT", "Trains the policies of an experiment, evaluates and draws them.")
     parser.add_argument("experiment", metavar="EXPERIMENT", help=f"{', '.join(EXPERIMENTS)}, or a TOML file")
     parser.add_argument("--out", metavar="DIR", help="run folder (default: runs/EXPERIMENT-LEARNER-seedSEED)")
     parser.add_argument("--config", metavar="FILE", help="TOML file of fields to replace; flags win over it")
-    names = ",".join(presets.LEARNERS)
+    names = ",".join(presets.TRAINING_PRESETS)
     text = "whose numbers to begin with (default: those of the policy)"
     parser.add_argument("--learner", metavar=f"{{{names}}}", help=text)
     parser.add_argument("--resume", action="store_true", help="continue the run that the folder holds")
@@ -120,7 +120,7 @@ def _events(wanted: bool) -> AbstractContextManager[Callable[[Path], None] | Non
     if not wanted:
         return nullcontext()
     try:
-        from murmurate.adapters.tensorboard import Events
+        from murmurate.interop.tensorboard import Events
     except ModuleNotFoundError as error:
         raise UsageError(str(error)) from None
     return Events()
@@ -129,11 +129,11 @@ def _events(wanted: bool) -> AbstractContextManager[Callable[[Path], None] | Non
 def _report(folder: Path) -> int:
     """Prints and draws a finished run."""
     from murmurate.cli import outcome
-    from murmurate.experiments import config as configuration
-    from murmurate.experiments import presets, storage, tables
-    from murmurate.experiments.training import VALID
+    from murmurate.runs import experiment as configuration
+    from murmurate.runs import presets, storage, table
+    from murmurate.runs.train import VALID
 
-    config, summary = configuration.load(folder), tables.read_evaluation(folder)
+    config, summary = configuration.load(folder), table.read_evaluation(folder)
     outcome.print_comparison(summary, presets.paper_row(config))
     outcome.print_record(folder)
     failed = storage.read_manifest(folder).get("outcome") != VALID

@@ -26,16 +26,16 @@ def run(argv: Sequence[str]) -> int:
 
 def _evaluate(folder: Path, episodes: int | None, seed: int | None, starts: str | None, out: str | None) -> int:
     from murmurate.cli import outcome
-    from murmurate.experiments import evaluation, presets, storage, tables
-    from murmurate.experiments.run import Run, check_draw
+    from murmurate.runs import evaluate, presets, storage, table
+    from murmurate.runs.run import Run, check_draw
     from murmurate.world import check_configurations, read_starts
 
     if starts is not None and seed is not None:
         raise UsageError("--seed draws fresh starts: leave it out with --starts")
     if out is not None and Path(out).resolve() != folder.resolve():
         storage.look(out)
-    count = evaluation.EPISODES if episodes is None else episodes
-    seed = evaluation.SEED if seed is None else seed
+    count = evaluate.EPISODES if episodes is None else episodes
+    seed = evaluate.SEED if seed is None else seed
     check_draw(count, seed)
     opened = Run.open(folder)
     world, points = opened.experiment.world, None
@@ -45,12 +45,12 @@ def _evaluate(folder: Path, episodes: int | None, seed: int | None, starts: str 
         if (episodes or 0) > len(points):
             raise InputError("--episodes", episodes, f"at most the {len(points)} starts of {starts}")
         points = points[:episodes]
-    result = evaluation.evaluate(opened, count, seed, points, Path(starts or "").name)
+    result = evaluate.evaluate(opened, count, seed, points, Path(starts or "").name)
     folder = folder if out is None else opened.copy(out)
     result.save(folder)
-    summary = tables.read_evaluation(folder)
+    summary = table.read_evaluation(folder)
     outcome.print_comparison(summary, presets.paper_row(opened.experiment))
     outcome.print_record(folder)
     print(f"picture: {outcome.draw(folder)}")
-    print(f"record: {folder / evaluation.EVALUATION}, {folder / evaluation.TRAJECTORIES}")
+    print(f"record: {folder / evaluate.EVALUATION}, {folder / evaluate.TRAJECTORIES}")
     return 0

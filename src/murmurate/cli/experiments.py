@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from murmurate.cli.arguments import Parser
-from murmurate.experiments.paper import EXPERIMENTS, check_experiment
+from murmurate.runs.paper import EXPERIMENTS, check_experiment
 
 __all__ = ["run"]
 
@@ -20,9 +20,9 @@ def run(argv: Sequence[str]) -> int:
     options, _ = parser.parse(argv)
     if options.experiment is not None:
         check_experiment(options.experiment)
-        from murmurate.experiments import fields, presets
+        from murmurate.runs import config_io, presets
 
-        print(fields.dump_toml(presets.resolve(options.experiment, learner=options.learner)), end="")
+        print(config_io.dump_toml(presets.resolve(options.experiment, learner=options.learner)), end="")
         return 0
     _print_all()
     print()

@@ -52,11 +52,11 @@ def run(argv: Sequence[str]) -> int:
 def _model(folder: str | None, index: int | None, out: str | None) -> int:
     path = _free(Path(out or f"{Path(folder).resolve().name if folder else 'murmurate'}.onnx"))
     import murmurate
-    from murmurate.experiments import storage
+    from murmurate.runs import storage
 
     opened = murmurate.load(folder) if folder else murmurate.pretrained()
     try:
-        from murmurate.adapters import onnx
+        from murmurate.interop import onnx
     except ModuleNotFoundError as error:
         raise UsageError(str(error)) from None
     model = onnx.export(opened, index)
@@ -73,7 +73,7 @@ def _model(folder: str | None, index: int | None, out: str | None) -> int:
 
 
 def _waypoints(options: Namespace) -> int:
-    from murmurate.experiments.waypoints import FORMATS, Scale, Waypoints
+    from murmurate.interop.waypoints import FORMATS, Scale, Waypoints
 
     check_choice("--trajectories", options.trajectories, FORMATS)
     path = _free(Path(options.out or f"{Path(options.run).resolve().name}.{options.trajectories}"))

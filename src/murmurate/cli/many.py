@@ -8,10 +8,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from murmurate.analysis import Catalogue
 from murmurate.errors import InputError, check_number, suggestion
-from murmurate.experiments import catalogues, fields, storage, tables
-from murmurate.experiments.config import MAX_SEED, ExperimentConfig, check_same
-from murmurate.patterns import Catalogue
+from murmurate.runs import catalogues, config_io, storage, table
+from murmurate.runs.experiment import MAX_SEED, ExperimentConfig, check_same
 
 __all__ = ["discover_many", "variants"]
 
@@ -33,14 +33,14 @@ def variants(config: ExperimentConfig, seeds: int, vary: Sequence[str]) -> dict[
     check_number("--seeds", seeds, 1, MOST, integer=True)
     if config.seed + seeds - 1 > MAX_SEED:
         raise InputError("--seeds", seeds, f"at most {MAX_SEED - config.seed + 1}: seeds end at {MAX_SEED}")
-    leaves = {leaf.path: leaf for leaf in fields.leaves(config)}
+    leaves = {leaf.path: leaf for leaf in config_io.leaves(config)}
     choices = [_choices(text, leaves) for text in vary]
     found = {}
     for seed in range(config.seed, config.seed + seeds):
         for values in itertools.product(*choices):
-            given = {path: fields.parse(leaves[path].kind, text, path) for path, text in values}
+            given = {path: config_io.parse(leaves[path].kind, text, path) for path, text in values}
             label = "".join(f"-{path.rpartition('.')[2]}{text}" for path, text in values)
-            found[f"seed{seed}{label}"] = replace(fields.replaced(config, fields.nested(given)), seed=seed)
+            found[f"seed{seed}{label}"] = replace(config_io.replaced(config, config_io.nested(given)), seed=seed)
     return found
 
 
@@ -83,7 +83,7 @@ def discover_many(
 
     from murmurate.cli.catalogue import show
     from murmurate.cli.progress import Progress
-    from murmurate.experiments.training import discover_together
+    from murmurate.runs.train import discover_together
 
     if together is None:
         together = 1 if jax.default_backend() == "cpu" else len(configs)
@@ -103,7 +103,7 @@ def discover_many(
                 discover_together(part, resume, tell, on_metrics)
         except KeyboardInterrupt:
             raise KeyboardInterrupt("interrupted; add --resume to the same command to go on") from None
-    print(tables.as_markdown(tables.RESULTS, tables.results(folders)), end="")
+    print(table.as_markdown(table.RESULTS, table.results(folders)), end="")
     found = [finding for folder in folders for finding in catalogues.findings(folder)]
     if not found:
         print(f"No valid pattern was discovered. The runs are kept in {out}.")

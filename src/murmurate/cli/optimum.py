@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 from murmurate.cli.arguments import Parser
 from murmurate.errors import RunError
-from murmurate.experiments.paper import EXPERIMENTS, check_experiment
+from murmurate.runs.paper import EXPERIMENTS, check_experiment
 
 if TYPE_CHECKING:
-    from murmurate.patterns.optimum import Formation, OptimumConfig
+    from murmurate.analysis.optimum.search import Formation, OptimumConfig
 
 __all__ = ["run"]
 
@@ -25,8 +25,8 @@ def run(argv: Sequence[str]) -> int:
         return _list()
     if word is not None:
         check_experiment(word)
-    from murmurate.experiments import fields, presets
-    from murmurate.patterns.optimum import OptimumConfig
+    from murmurate.analysis.optimum.search import OptimumConfig
+    from murmurate.runs import config_io, presets
 
     found = presets.resolve(word or "C")
     config = OptimumConfig(found.world, found.objective)
@@ -37,7 +37,7 @@ def run(argv: Sequence[str]) -> int:
     parser.add_argument("--out", metavar="FILE.json", help="write the best one, for the table of best-known patterns")
     parser.add_fields(config)
     options, flags = parser.parse(argv)
-    config = fields.replaced(config, flags)
+    config = config_io.replaced(config, flags)
     out = None if options.out is None else Path(options.out)
     if out is not None and out.exists():
         raise RunError(f"{out} is there already: choose another --out")
@@ -47,17 +47,17 @@ def run(argv: Sequence[str]) -> int:
 
 
 def _list() -> int:
-    from murmurate.experiments import optima, tables
-    from murmurate.patterns import best_known
+    from murmurate.analysis.optimum import best_known
+    from murmurate.runs import optima, table
 
-    print(tables.as_markdown(optima.OPTIMA, optima.rows(best_known.load())), end="")
+    print(table.as_markdown(optima.OPTIMA, optima.rows(best_known.load())), end="")
     return 0
 
 
 def _search(config: OptimumConfig, out: Path | None, command: str) -> int:
-    from murmurate.experiments import storage
-    from murmurate.patterns.best_known import BestKnown
-    from murmurate.patterns.optimum import hop, search
+    from murmurate.analysis.optimum.best_known import BestKnown
+    from murmurate.analysis.optimum.search import hop, search
+    from murmurate.runs import storage
 
     found = search(config)
     _print_found(config, found)
@@ -92,8 +92,8 @@ def _flaw(one: Formation) -> str:
 
 def _print_comparison(config: OptimumConfig, best: Formation) -> None:
     """Says how the best one stands beside what is proved and what is known."""
-    from murmurate.patterns import bounds
-    from murmurate.patterns.best_known import BEATS, best_known
+    from murmurate.analysis.optimum import bounds
+    from murmurate.analysis.optimum.best_known import BEATS, best_known
 
     target, sizes = config.target, config.world
     if best.valid:

@@ -8,9 +8,9 @@ from typing import Any
 
 from rich.console import Console
 
-from murmurate.experiments import tables
-from murmurate.experiments.evaluation import RECORD
-from murmurate.experiments.paper import PaperExperiment
+from murmurate.runs import table
+from murmurate.runs.evaluate import RECORD
+from murmurate.runs.paper import PaperExperiment
 
 __all__ = ["PICTURE", "draw", "print_comparison", "print_record"]
 
@@ -19,7 +19,7 @@ PICTURE = Path("figures") / "discovery.png"
 
 def print_comparison(summary: Mapping[str, Any], row: PaperExperiment | None) -> None:
     """Prints an evaluation, beside the paper's where it has one."""
-    Console().print(tables.as_rich(*tables.comparison(summary, row)))
+    Console().print(table.as_rich(*table.comparison(summary, row)))
 
 
 def print_record(folder: Path) -> None:
@@ -38,8 +38,8 @@ def draw(folder: Path, episode: int | None = None) -> Path:
         InputError: There is no such episode.
         RunError: The record is damaged, or the picture cannot be written.
     """
-    from murmurate import view
+    from murmurate import plots
 
     path = folder / PICTURE
-    view.save(view.discovery_figure(view.Record.open(folder), episode), path)
+    plots.save(plots.discovery_figure(plots.Record.open(folder), episode), path)
     return path

@@ -16,8 +16,8 @@ from murmurate.errors import UsageError
 
 if TYPE_CHECKING:
     from murmurate.cli.progress import Progress
-    from murmurate.reports.plan import Plan
-    from murmurate.reports.runs import Result
+    from murmurate.report.plan import Plan
+    from murmurate.report.runs import Result
 
 __all__ = ["run"]
 
@@ -42,7 +42,7 @@ def run(argv: Sequence[str]) -> int:
     runs, out = Path(options.runs), Path(options.out or f"reproduction{'-quick' if options.quick else ''}")
     if out.resolve() == runs.resolve():
         raise UsageError("--out and --runs are the same folder: the report needs one of its own")
-    from murmurate.reports.plan import make_plan
+    from murmurate.report.plan import make_plan
 
     words, full = _words(options), _words(options, full=True)
     try:
@@ -76,10 +76,10 @@ def reproduce(plan: Plan, runs: Path, out: Path, words: str, full: str, begun: f
     Raises:
         RunError: A folder holds something else, is damaged, or cannot be written to.
     """
-    from murmurate.reports import folder
-    from murmurate.reports import runs as work
-    from murmurate.reports.material import Command, Material
-    from murmurate.reports.report import make_report
+    from murmurate.report import folder
+    from murmurate.report import runs as work
+    from murmurate.report.material import Command, Material
+    from murmurate.report.report import make_report
 
     found = Counter(work.check(plan, runs).values())
     folder.check(out)
@@ -96,7 +96,7 @@ def reproduce(plan: Plan, runs: Path, out: Path, words: str, full: str, begun: f
 def _train(plan: Plan, runs: Path) -> list[Result]:
     """Trains one run after the other, and says what came of each."""
     from murmurate.cli.progress import Progress
-    from murmurate.reports import runs as work
+    from murmurate.report import runs as work
 
     results = []
     for place, planned in enumerate(plan.runs, 1):

@@ -11,7 +11,7 @@ from murmurate.cli.arguments import Parser
 from murmurate.errors import UsageError
 
 if TYPE_CHECKING:
-    from murmurate.view import Record
+    from murmurate.plots import Record
 
 __all__ = ["run"]
 
@@ -61,7 +61,7 @@ def _formed(
     """Lets the package's weights form patterns, and returns the folder of that run."""
     from murmurate import pretrained
     from murmurate.errors import check_choice
-    from murmurate.experiments.evaluation import evaluate
+    from murmurate.runs.evaluate import evaluate
     from murmurate.world import StartConfig
 
     check_choice("start", start, STARTS)
@@ -71,36 +71,36 @@ def _formed(
     evaluation = evaluate(run, EPISODES, seed)
     run.save(folder)
     evaluation.save(folder)
-    print(f"{robots} robots, {EPISODES} starts: {int(evaluation.verdict.valid.sum())} ended in a valid pattern")
+    print(f"{robots} robots, {EPISODES} starts: {int(evaluation.validity.valid.sum())} ended in a valid pattern")
     return folder
 
 
 def _show(folder: Path, to: str | None, episode: int | None, mp4: bool) -> int:
-    from murmurate import view
+    from murmurate import plots
 
     record, out = _record(folder), Path(to or folder / "figures")
     animation = out / f"discovery.{'mp4' if mp4 else 'gif'}"
-    figure = view.discovery_figure(record, episode)
-    view.animate(record, animation, episode)
-    view.save(figure, out / "discovery.png")
+    figure = plots.discovery_figure(record, episode)
+    plots.animate(record, animation, episode)
+    plots.save(figure, out / "discovery.png")
     print(f"picture: {out / 'discovery.png'}")
     print(f"animation: {animation}")
     return 0
 
 
 def _show_patterns(folders: list[Path], out: Path) -> int:
-    from murmurate import view
+    from murmurate import plots
 
     records = [_record(folder) for folder in folders]
-    view.save(view.patterns_figure(records, [record.name for record in records]), out / "patterns.png")
+    plots.save(plots.patterns_figure(records, [record.name for record in records]), out / "patterns.png")
     print(f"picture: {out / 'patterns.png'}")
     return 0
 
 
 def _record(folder: Path) -> Record:
     """Opens the record of a run whose files are as its manifest says."""
-    from murmurate import view
-    from murmurate.experiments import storage
+    from murmurate import plots
+    from murmurate.runs import storage
 
     storage.verify(folder, storage.read_manifest(folder))
-    return view.Record.open(folder)
+    return plots.Record.open(folder)

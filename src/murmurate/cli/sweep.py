@@ -122,11 +122,11 @@ def _conduct(options: Namespace, sweep: Any, out: Path, backend: Backend) -> int
 
 def _teller(board: Any, out: Path, standings: dict[str, Standing]) -> Any:
     """Says what came of a worker: every run that ends, or on a terminal, whose table says so, those that fail."""
-    from murmurate.experiments import tables
+    from murmurate.runs import table
 
     def words(name: str, stands: Standing) -> str:
         if stands.status == "done":
-            return f"{tables.read_evaluation(out / name)['valid']:.1%} valid"
+            return f"{table.read_evaluation(out / name)['valid']:.1%} valid"
         if stands.status == "failed":
             return f"failed, attempt {stands.attempts}: {stands.error}"
         return f"to be tried again, attempt {stands.attempts} failed: {stands.error}"
@@ -153,26 +153,26 @@ def _write(options: Namespace, sweep: Any, out: Path, standings: dict[str, Stand
     return table
 
 
-def _report(table: list[dict[str, Any]], out: Path) -> int:
+def _report(rows_of_all: list[dict[str, Any]], out: Path) -> int:
     """Prints the table of finished runs, and what failed."""
-    from murmurate.experiments import tables, training
+    from murmurate.runs import table, train
     from murmurate.sweeps import results
     from murmurate.sweeps.worker import LOG
 
-    done = [row for row in table if row["status"] == "done"]
-    failed = [row for row in table if row["status"] == "failed"]
+    done = [row for row in rows_of_all if row["status"] == "done"]
+    failed = [row for row in rows_of_all if row["status"] == "failed"]
     if done:
-        found = tables.results(out / row["run"] for row in done)
+        found = table.results(out / row["run"] for row in done)
         rows = [(row["run"], *cells[3:]) for row, cells in zip(done, found, strict=True)]
-        print(tables.as_markdown(("run", *tables.RESULTS[3:]), rows), end="")
+        print(table.as_markdown(("run", *table.RESULTS[3:]), rows), end="")
     print(f"table: {out / results.CSV}")
     for row in failed:
         log = out / row["run"] / LOG
         print(f"failed: {row['run']}: {row['error']}{f' (see {log})' if log.exists() else ''}")
     if failed:
-        print(f"{len(failed)} of {len(table)} runs failed; the same command tries them again.")
+        print(f"{len(failed)} of {len(rows_of_all)} runs failed; the same command tries them again.")
         return FAILED
-    if not any(row["outcome"] == training.VALID for row in done):
+    if not any(row["outcome"] == train.VALID for row in done):
         print(f"No valid pattern was discovered. The runs are kept in {out}.")
         return NOTHING_VALID
     return 0
@@ -181,9 +181,9 @@ def _report(table: list[dict[str, Any]], out: Path) -> int:
 @contextlib.contextmanager
 def _alone(out: Path) -> Iterator[None]:
     """Keeps a second sweep out of the folder while this one is at work."""
-    from murmurate.experiments import storage
+    from murmurate.runs import storage
 
-    with storage.one_line(f"cannot write to {out}"):
+    with storage.os_errors_as_run_errors(f"cannot write to {out}"):
         out.mkdir(parents=True, exist_ok=True)
         lock = (out / LOCK).open("a")
     with lock:

@@ -14,7 +14,7 @@ def run(argv: Sequence[str]) -> int:
     parser = Parser("table", "RUN...", "Prints the results of finished runs as a Markdown table.")
     parser.add_argument("runs", metavar="RUN", nargs="+", help="folder of a finished run")
     options, _ = parser.parse(argv)
-    from murmurate.experiments import tables
+    from murmurate.runs import table
 
-    print(tables.as_markdown(tables.RESULTS, tables.results(options.runs)), end="")
+    print(table.as_markdown(table.RESULTS, table.results(options.runs)), end="")
     return 0

@@ -4,7 +4,7 @@ from murmurate.discovery.algorithm import Discovery, Snapshot, advance_together,
 from murmurate.discovery.cascade import Cascade, RestRule, Trajectories
 from murmurate.discovery.config import DiscoveryConfig, StageConfig
 from murmurate.discovery.problem import Problem
-from murmurate.discovery.validity import Verdict, bound_steps, judge
+from murmurate.discovery.validity import Validity, bound_steps, check_validity
 
 __all__ = [
     "Cascade",
@@ -15,9 +15,9 @@ __all__ = [
     "Snapshot",
     "StageConfig",
     "Trajectories",
-    "Verdict",
+    "Validity",
     "advance_together",
     "bound_steps",
-    "judge",
+    "check_validity",
     "policy_name",
 ]

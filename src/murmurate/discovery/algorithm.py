@@ -15,11 +15,11 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from murmurate.discovery.cascade import Cascade
 from murmurate.discovery.problem import Problem
-from murmurate.discovery.validity import judge
+from murmurate.discovery.validity import check_validity
 from murmurate.learning import (
+    ActionRepeat,
     Chunk,
     Hyperparameters,
-    Repeated,
     Shape,
     TrainState,
     check_divides,
@@ -29,14 +29,14 @@ from murmurate.learning import (
 )
 from murmurate.policies import Sizes, make_networks
 from murmurate.world import (
-    Anywhere,
     Family,
-    Layouts,
-    Mixture,
-    Perceived,
-    Scheduled,
+    JitteredStart,
+    LocalObservation,
+    MixtureStart,
+    SchedulerWrapper,
     Start,
     StartConfig,
+    UniformStart,
     WeightsConfig,
     World,
     draw_starts,
@@ -225,7 +225,7 @@ class Discovery:
     def validity(self, policies: tuple[Any, ...], key: PRNGKeyArray) -> float:
         """Returns the share of fresh episodes from (S_0, epsilon) in which the list forms a valid pattern."""
         valid = [
-            judge(
+            check_validity(
                 part.cascade(policies).rollout(draw_starts(part.world.start, key, part.problem.discovery.episodes)),
                 part.problem.world,
             ).valid
@@ -239,7 +239,7 @@ class Discovery:
 
     def _initial_sigma(self) -> Float[Array, "sigma robots 2"]:
         start, size = self.world.start, self.problem.discovery.sigma
-        if isinstance(start, Layouts):
+        if isinstance(start, JitteredStart):
             # Each start of a file as often as every other, and none left out.
             return _repeat_to(np.asarray(start.points), -(-size // len(start.points)) * len(start.points))
         return jnp.asarray(draw_starts(start, self._draw(0, "initial"), size))
@@ -254,14 +254,14 @@ class Discovery:
         share = stage.random_share if index == 0 else 0.0
         # Where nothing comes from anywhere at random, nothing need fit there: without a radius nothing is redrawn.
         anywhere = {**place, "radius": sizes.radius if share else 0.0}
-        first: Start = Layouts(points=snapshot.sigma, noise=noise, **place)
+        first: Start = JitteredStart(points=snapshot.sigma, noise=noise, **place)
         if index == 0 and self.problem.start.kind == "random":
             # Not one of the starts drawn once, but always another.
-            first = Anywhere(robots=sizes.robots, **place)
-        start = Mixture(first, Anywhere(robots=sizes.robots, spread=stage.random_spread, **anywhere), share)
+            first = UniformStart(robots=sizes.robots, **place)
+        start = MixtureStart(first, UniformStart(robots=sizes.robots, spread=stage.random_spread, **anywhere), share)
         if self.problem.base.symmetric_share:
             share = stage.symmetric_share if index == 0 else 0.0
-            start = Mixture(start, Layouts(points=self._symmetric(), noise=0.0, **place), share)
+            start = MixtureStart(start, JitteredStart(points=self._symmetric(), noise=0.0, **place), share)
         weights: WeightsConfig = stage.weights
         by_robot = self.problem.policy.credit == "robots"
         return _with_array_leaves(World.create(sizes, start, self.problem.objective, weights, stage.horizon, by_robot))
@@ -280,14 +280,16 @@ class Discovery:
         """What a policy is trained in: the world, each action kept up, and what robots perceive of it."""
         world = self._training_world(index, snapshot)
         # What robots perceive, they perceive as it is: no margin there.
-        return self._seen(Repeated(self._scheduled(world), jnp.asarray(self.problem.stage(index).repeat)), self.world)
+        return self._seen(
+            ActionRepeat(self._scheduled(world), jnp.asarray(self.problem.stage(index).repeat)), self.world
+        )
 
-    def _scheduled(self, world: World) -> World | Scheduled:
+    def _scheduled(self, world: World) -> World | SchedulerWrapper:
         scheduler = self.problem.scheduler
-        return world if scheduler.plain else Scheduled(world, scheduler)
+        return world if scheduler.plain else SchedulerWrapper(world, scheduler)
 
     def _seen(self, env: Any, world: World) -> Any:
-        return env if self._sensing is None else Perceived(env, world, self._sensing)
+        return env if self._sensing is None else LocalObservation(env, world, self._sensing)
 
     def _init(self, index: int, snapshot: Snapshot) -> TrainState:
         policy, value = self.networks(index)

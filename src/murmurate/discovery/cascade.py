@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from murmurate.errors import GREATEST, MOST, check_number
-from murmurate.world import Perceived, Scheduled, World, epochs_of
+from murmurate.world import LocalObservation, SchedulerWrapper, World, epochs_of
 
 __all__ = ["Cascade", "RestRule", "Trajectories"]
 
@@ -94,7 +94,7 @@ class Cascade(eqx.Module):
     """A list of policies, executed one after another in a world."""
 
     policies: tuple[Any, ...]
-    world: World | Scheduled | Perceived
+    world: World | SchedulerWrapper | LocalObservation
     rest: RestRule = eqx.field(static=True)
 
     def rollout(self, starts: Float[np.ndarray, "episodes robots 2"], seed: int = 0) -> Trajectories:

@@ -9,7 +9,7 @@ from typing import Self
 from murmurate.discovery.cascade import RestRule
 from murmurate.discovery.config import DiscoveryConfig, StageConfig
 from murmurate.policies import PolicyConfig
-from murmurate.world import SchedulerConfig, SensingConfig, StartConfig, World, WorldConfig, grown, make_start
+from murmurate.world import SchedulerConfig, SensingConfig, StartConfig, World, WorldConfig, make_start, scaled_to
 
 __all__ = ["Problem"]
 
@@ -59,7 +59,7 @@ class Problem:
         Raises:
             InputError: There are too few or too many robots.
         """
-        world, rest = grown(self.world, robots), self.rest
+        world, rest = scaled_to(self.world, robots), self.rest
         factor = max(world.half_width / self.world.half_width, 1.0)
         rest = replace(
             rest,

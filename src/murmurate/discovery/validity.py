@@ -13,11 +13,11 @@ from murmurate.discovery.cascade import Trajectories
 from murmurate.geometry import collides, distances, leaves, neighbors_and_visible
 from murmurate.world import WorldConfig
 
-__all__ = ["Verdict", "bound_steps", "judge"]
+__all__ = ["Validity", "bound_steps", "check_validity"]
 
 
 @dataclass(frozen=True)
-class Verdict:
+class Validity:
     """What holds of each episode (design: valid pattern).
 
     Attributes:
@@ -40,12 +40,12 @@ class Verdict:
         return self.collision_free & self.mutually_visible & self.gathered & self.safe & self.at_rest
 
 
-def judge(trajectories: Trajectories, world: WorldConfig) -> Verdict:
+def check_validity(trajectories: Trajectories, world: WorldConfig) -> Validity:
     """Judges every episode by its recorded positions."""
     final = np.moveaxis(trajectories.final.astype(float), 0, -1)
     others = ~np.eye(world.robots, dtype=bool)
     near, seen = (flags[others].all(axis=0) for flags in neighbors_and_visible(final, world.radius, world.scan_radius))
-    return Verdict(
+    return Validity(
         collision_free=_collision_free(trajectories.positions, world),
         mutually_visible=seen,
         gathered=near,

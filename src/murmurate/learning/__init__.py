@@ -2,19 +2,19 @@
 
 from murmurate.learning.advantage import generalized_advantage, rewards_to_go
 from murmurate.learning.config import Hyperparameters, PPOConfig, Schedule, Shape, ValueTarget
-from murmurate.learning.devices import check_divides
-from murmurate.learning.environment import Environment, Repeated, Transition, restarting_step
+from murmurate.learning.environment import ActionRepeat, Environment, Transition, step_with_autoreset
 from murmurate.learning.losses import Batch, policy_loss, value_loss
 from murmurate.learning.ppo import Rollout, TrainState, collect, init, train_chunk
+from murmurate.learning.sharding import check_divides
 from murmurate.learning.together import Chunk, train_together
 
 __all__ = [
+    "ActionRepeat",
     "Batch",
     "Chunk",
     "Environment",
     "Hyperparameters",
     "PPOConfig",
-    "Repeated",
     "Rollout",
     "Schedule",
     "Shape",
@@ -26,8 +26,8 @@ __all__ = [
     "generalized_advantage",
     "init",
     "policy_loss",
-    "restarting_step",
     "rewards_to_go",
+    "step_with_autoreset",
     "train_chunk",
     "train_together",
     "value_loss",

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
-__all__ = ["Environment", "Repeated", "Transition", "restarting_step"]
+__all__ = ["ActionRepeat", "Environment", "Transition", "step_with_autoreset"]
 
 
 class Transition(Protocol):
@@ -57,7 +57,7 @@ class Environment(Protocol):
         ...
 
 
-class Repeated(eqx.Module):
+class ActionRepeat(eqx.Module):
     """An environment whose every action is kept up for some steps, unless the episode ends before.
 
     Decisions are then fewer and reach farther: noise that is kept up moves on, where noise redrawn every step only
@@ -91,7 +91,7 @@ class Repeated(eqx.Module):
         return jax.lax.fori_loop(1, self.times, again, first)
 
 
-def restarting_step(env: Environment, state: Any, action: Any, key: PRNGKeyArray) -> tuple[Any, Transition, Any]:
+def step_with_autoreset(env: Environment, state: Any, action: Any, key: PRNGKeyArray) -> tuple[Any, Transition, Any]:
     """Steps every episode, then replaces those that ended by fresh ones.
 
     Args:

@@ -14,10 +14,10 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float, Int, PRNGKeyArray, UInt32
 
-from murmurate.learning import devices
+from murmurate.learning import sharding
 from murmurate.learning.advantage import generalized_advantage, rewards_to_go
 from murmurate.learning.config import Hyperparameters, Shape
-from murmurate.learning.environment import Environment, Transition, restarting_step
+from murmurate.learning.environment import Environment, Transition, step_with_autoreset
 from murmurate.learning.losses import Batch, policy_loss, value_loss
 
 __all__ = ["Rollout", "TrainState", "collect", "init", "train_chunk"]
@@ -72,7 +72,7 @@ def collect(env: Environment, policy: Any, state: Any, key: PRNGKeyArray, steps:
         observation = env.observe(state)
         distribution = policy.distribution(observation)
         action = distribution.sample(act)
-        state, transition, after = restarting_step(env, state, action, restart)
+        state, transition, after = step_with_autoreset(env, state, action, restart)
         return state, Rollout(observation, after, action, distribution.log_prob(action), transition)
 
     return jax.lax.scan(one, state, jax.random.split(key, steps))
@@ -104,7 +104,7 @@ def _minibatches(batch: Batch, key: PRNGKeyArray, count: int) -> Batch:
     def deal(x: Array) -> Array:
         return jnp.moveaxis(x[..., order].reshape((*x.shape[:-1], count, -1)), -2, 0)
 
-    return devices.parted(jax.tree.map(deal, batch))
+    return sharding.parted(jax.tree.map(deal, batch))
 
 
 def _descend(network: Any, moments: Any, gradient: Any, rate: Any, max_gradient: Any) -> tuple[Any, Any]:
@@ -145,9 +145,9 @@ def _update(
     if hyper.log_std is not None:
         spread = jnp.full_like(state.policy.log_std, hyper.log_std(progress))
         state = eqx.tree_at(lambda s: s.policy.log_std, state, spread)
-    env_state, rollout = devices.parted(collect(env, state.policy, state.env_state, act, shape.steps))
+    env_state, rollout = sharding.parted(collect(env, state.policy, state.env_state, act, shape.steps))
     # Whole on every device, once: a shuffle takes from everywhere.
-    batch = devices.replicated(_batch(state.value, rollout, hyper, shape))
+    batch = sharding.replicated(_batch(state.value, rollout, hyper, shape))
 
     def epoch(state: TrainState, key: PRNGKeyArray) -> tuple[TrainState, dict[str, Any]]:
         def step(state: TrainState, part: Batch) -> tuple[TrainState, dict[str, Any]]:
@@ -192,5 +192,5 @@ def train_chunk(
     def step(state: TrainState, _: None) -> tuple[TrainState, dict[str, Any]]:
         return _update(state, env, hyper, shape)
 
-    state = eqx.tree_at(lambda s: s.env_state, state, devices.parted(state.env_state))
-    return devices.replicated(jax.lax.scan(step, state, None, length=updates))
+    state = eqx.tree_at(lambda s: s.env_state, state, sharding.parted(state.env_state))
+    return sharding.replicated(jax.lax.scan(step, state, None, length=updates))

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from murmurate.learning import devices
+from murmurate.learning import sharding
 from murmurate.learning.config import Hyperparameters, Shape
 from murmurate.learning.environment import Environment
 from murmurate.learning.ppo import TrainState, train_chunk
@@ -66,20 +66,20 @@ def _run(chunks: list[Chunk]) -> list[tuple[TrainState, dict[str, Any]]]:
     first = chunks[0]
     if len(chunks) == 1:
         spread = _spread((first.state, first.env, first.hyper))
-        return [devices.fetched(train_chunk(*spread, first.shape, first.updates))]
+        return [sharding.fetched(train_chunk(*spread, first.shape, first.updates))]
     trees = [(chunk.state, chunk.env, chunk.hyper) for chunk in chunks]
     # What all have in common stays one number: a loop whose length is the same for all stays a plain loop.
     axes = jax.tree.map(lambda *leaves: None if _same(leaves) else 0, *trees)
     joined = jax.tree.map(lambda *leaves: leaves[0] if _same(leaves) else jnp.stack(leaves), *trees)
-    trained = devices.fetched(_train(_spread(joined), axes, len(chunks), first.shape, first.updates))
+    trained = sharding.fetched(_train(_spread(joined), axes, len(chunks), first.shape, first.updates))
     return [jax.tree.map(lambda leaf, place=place: leaf[place], trained) for place in range(len(chunks))]
 
 
 def _spread(tree: tuple[TrainState, Any, Any]) -> tuple[TrainState, Any, Any]:
     """Gives each device its part of the environment's states, and all else."""
-    whole = devices.placed(eqx.tree_at(lambda t: t[0].env_state, tree, None))
+    whole = sharding.placed(eqx.tree_at(lambda t: t[0].env_state, tree, None))
     return eqx.tree_at(
-        lambda t: t[0].env_state, whole, devices.placed(tree[0].env_state, split=True), is_leaf=lambda x: x is None
+        lambda t: t[0].env_state, whole, sharding.placed(tree[0].env_state, split=True), is_leaf=lambda x: x is None
     )
 
 

@@ -29,7 +29,7 @@ from murmurate.policies.features import pair_channels, point, robot_channels, su
 from murmurate.policies.gaussian import Gaussian
 from murmurate.policies.layers import Dense, Linear, bounded, fold
 
-__all__ = ["EquivariantPolicy", "EquivariantValue", "Valuation"]
+__all__ = ["EquivariantPolicy", "EquivariantValue", "ValueHead"]
 
 
 class EquivariantPolicy(eqx.Module):
@@ -77,7 +77,7 @@ class EquivariantPolicy(eqx.Module):
         return Gaussian(self(positions), self.log_std + math.log(self.sizes.max_speed), joint=False)
 
 
-class Valuation(eqx.Module):
+class ValueHead(eqx.Module):
     """Maps what is known of every robot to its value, from that and the swarm's mean of it."""
 
     node: Dense
@@ -102,12 +102,12 @@ class Valuation(eqx.Module):
 class EquivariantValue(eqx.Module):
     """Maps positions to what is still to be gained by every robot, from its own surroundings and the swarm's mean."""
 
-    valuation: Valuation
+    valuation: ValueHead
     basis: int = eqx.field(static=True)
     sizes: Sizes = eqx.field(static=True)
 
     def __init__(self, config: PolicyConfig, sizes: Sizes, key: PRNGKeyArray) -> None:
-        self.valuation = Valuation(robot_channels(config.basis, sizes.landmark), config.hidden[0], key)
+        self.valuation = ValueHead(robot_channels(config.basis, sizes.landmark), config.hidden[0], key)
         self.basis = config.basis
         self.sizes = sizes
 

@@ -27,7 +27,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from murmurate.policies.config import PolicyConfig, Sizes
-from murmurate.policies.equivariant import Valuation
+from murmurate.policies.equivariant import ValueHead
 from murmurate.policies.features import (
     SHADOWS,
     Surroundings,
@@ -210,13 +210,13 @@ class LocalValue(eqx.Module):
     It sees robots that are hidden, and the walls, which nobody who acts does.
     """
 
-    valuation: Valuation
+    valuation: ValueHead
     basis: int = eqx.field(static=True)
     sizes: Sizes = eqx.field(static=True)
 
     def __init__(self, config: PolicyConfig, sizes: Sizes, key: PRNGKeyArray) -> None:
         channels = robot_channels(config.basis, sizes.landmark, scale_free=True) + config.basis
-        self.valuation = Valuation(channels, config.hidden[0], key)
+        self.valuation = ValueHead(channels, config.hidden[0], key)
         self.basis = config.basis
         self.sizes = sizes
 

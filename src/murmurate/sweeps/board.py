@@ -16,9 +16,9 @@ from rich.table import Table
 
 from murmurate.discovery import policy_name
 from murmurate.errors import RunError
-from murmurate.experiments import tables
-from murmurate.experiments.config import ExperimentConfig
-from murmurate.experiments.run import METRICS
+from murmurate.runs import table
+from murmurate.runs.experiment import ExperimentConfig
+from murmurate.runs.run import METRICS
 from murmurate.sweeps.conduct import Standing
 
 __all__ = ["Board", "Place", "place"]
@@ -174,7 +174,7 @@ class Board:
         """Writes how many patterns of a finished run are valid; read once."""
         if name not in self._valid:
             try:
-                self._valid[name] = f"{tables.read_evaluation(self._out / name)['valid']:.1%}"
+                self._valid[name] = f"{table.read_evaluation(self._out / name)['valid']:.1%}"
             except RunError:
                 self._valid[name] = _NONE
         return self._valid[name]

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Literal
 
 from murmurate.errors import RunError
-from murmurate.experiments import storage
+from murmurate.runs import storage
 from murmurate.sweeps.backend import Backend, Job
 
 __all__ = ["Standing", "conduct", "standing"]

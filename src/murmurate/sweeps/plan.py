@@ -17,9 +17,9 @@ from typing import Any
 
 from murmurate.discovery import Discovery
 from murmurate.errors import InputError, RunError, check_choice, suggestion
-from murmurate.experiments import fields, presets, storage
-from murmurate.experiments.config import ExperimentConfig, check_same, check_seed, save
-from murmurate.experiments.paper import EXPERIMENTS
+from murmurate.runs import config_io, presets, storage
+from murmurate.runs.experiment import ExperimentConfig, check_same, check_seed, save
+from murmurate.runs.paper import EXPERIMENTS
 
 __all__ = ["MOST", "Sweep", "check", "lay_out", "read_sweep"]
 
@@ -92,7 +92,7 @@ def read_sweep(path: str | Path) -> Sweep:
         OSError: A file cannot be read.
     """
     path = Path(path)
-    blocks = _blocks(fields.load_toml(path), path.parent)
+    blocks = _blocks(config_io.load_toml(path), path.parent)
     if not 1 <= (count := sum(block.size for block in blocks)) <= MOST:
         raise InputError(_RUNS, count, f"1 to {MOST}")
     runs: dict[str, ExperimentConfig] = {}
@@ -114,7 +114,7 @@ def check(sweep: Sweep, out: Path) -> list[str]:
     Raises:
         RunError: A run folder holds another experiment, or one that the sweep does not name, or cannot be read.
     """
-    with storage.one_line(f"cannot write to {out}"):
+    with storage.os_errors_as_run_errors(f"cannot write to {out}"):
         inside = sorted(out.iterdir()) if out.exists() else []
     if any(path.name in (storage.EXPERIMENT, storage.MANIFEST) for path in inside):
         raise RunError(f"{out} holds a run itself: choose another --out")
@@ -192,7 +192,7 @@ def _check_keys(data: Mapping[str, Any], known: Sequence[str], where: str) -> No
 
 def _hint(name: str, known: Sequence[str]) -> str:
     """Suggests a key, or says where a field of the experiment belongs."""
-    sections = {leaf.path.partition(".")[0] for leaf in fields.leaves(presets.preset("A"))} - {"seed"}
+    sections = {leaf.path.partition(".")[0] for leaf in config_io.leaves(presets.preset("A"))} - {"seed"}
     return suggestion(name, known) or ("; fields of the experiment go under [fields]" if name in sections else "")
 
 
@@ -215,7 +215,7 @@ def _experiment(word: Any, folder: Path, where: str) -> str:
 def _learners(value: Any, where: str) -> tuple[str, ...]:
     names = _listed(value, where, 'such as ["equivariant", "central"]')
     for name in names:
-        check_choice(where, name, tuple(presets.LEARNERS))
+        check_choice(where, name, tuple(presets.TRAINING_PRESETS))
     return tuple(names)
 
 
@@ -238,7 +238,7 @@ def _leaves(data: Any, folder: Path, where: str, table: str = "fields") -> dict[
     """Returns fields by their dotted paths, which may be written as nested tables as well; files become findable."""
     if not isinstance(data, Mapping):
         raise InputError(f"{where}{table}", data, "a table of fields of the experiment")
-    known = [leaf.path for leaf in fields.leaves(presets.preset("A"))]
+    known = [leaf.path for leaf in config_io.leaves(presets.preset("A"))]
     found = dict(_flat(data))
     for path, value in found.items():
         if path == "seed":
@@ -266,7 +266,7 @@ def _found(file: Any, folder: Path) -> Any:
 def _made(experiment: str, learner: str | None, told: Mapping[str, Any]) -> ExperimentConfig:
     """Puts an experiment together, and makes sure that its world is possible."""
     try:
-        config = presets.resolve(experiment, fields.nested(told), learner=learner)
+        config = presets.resolve(experiment, config_io.nested(told), learner=learner)
         Discovery(config)
     except InputError as error:
         raise InputError(error.field, error.value, f"{error.allowed} (in experiment {experiment})") from None
@@ -275,9 +275,9 @@ def _made(experiment: str, learner: str | None, told: Mapping[str, Any]) -> Expe
 
 def _name(config: ExperimentConfig, learner: str | None, told: Mapping[str, Any]) -> str:
     """Names a run's folder by all in which it was told to be different."""
-    values = {leaf.path: leaf.value for leaf in fields.leaves(config)}
+    values = {leaf.path: leaf.value for leaf in config_io.leaves(config)}
     parts = [config.name, learner or config.policy.kind, f"seed{config.seed}"]
-    parts += [f"{path}={fields.spelled(values[path])}" for path in told]
+    parts += [f"{path}={config_io.spelled(values[path])}" for path in told]
     name = re.sub(r"[^\w.,+=-]+", "_", "-".join(parts))
     if len(name) <= _LONGEST:
         return name

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from murmurate.errors import RunError, UsageError
-from murmurate.experiments import fields, storage, tables
-from murmurate.experiments.config import ExperimentConfig
+from murmurate.runs import config_io, storage, table
+from murmurate.runs.experiment import ExperimentConfig
 from murmurate.sweeps.conduct import Standing
 from murmurate.sweeps.plan import Sweep
 
@@ -46,7 +46,7 @@ def rows(sweep: Sweep, out: Path, standings: Mapping[str, Standing]) -> list[Row
 
 
 def _row(name: str, config: ExperimentConfig, swept: Sequence[str], folder: Path, stands: Standing) -> Row:
-    values = {leaf.path: leaf.value for leaf in fields.leaves(config)}
+    values = {leaf.path: leaf.value for leaf in config_io.leaves(config)}
     status = stands.status if stands.status in ("done", "failed") else "unfinished"
     error, measured = stands.error, {}
     if status == "done":
@@ -77,7 +77,7 @@ def _measured(folder: Path) -> Row:
     """
     manifest = storage.read_manifest(folder)
     storage.verify(folder, manifest)
-    summary = tables.read_evaluation(folder)
+    summary = table.read_evaluation(folder)
     signal, policies = summary.get("signal"), manifest.get("policies")
     return {
         **summary,
@@ -102,7 +102,7 @@ def write_csv(path: Path, table: Sequence[Row]) -> None:
     writer = csv.DictWriter(text, list(table[0]), lineterminator="\n")
     writer.writeheader()
     writer.writerows(
-        {name: "" if value is None else fields.spelled(value) for name, value in row.items()} for row in table
+        {name: "" if value is None else config_io.spelled(value) for name, value in row.items()} for row in table
     )
     storage.write_text(path, text.getvalue())
 
@@ -140,4 +140,4 @@ def _column(values: Sequence[Any]) -> list[Any]:
         return [value if value is None or float not in kinds else float(value) for value in values]
     if len(kinds) == 1 and kinds <= {bool, str}:
         return list(values)
-    return [None if value is None else fields.spelled(value) for value in values]
+    return [None if value is None else config_io.spelled(value) for value in values]

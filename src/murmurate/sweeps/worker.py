@@ -82,10 +82,10 @@ def _stderr_to(descriptor: int) -> Iterator[None]:
 
 def _train(folder: Path) -> str:
     try:
-        from murmurate.experiments import config
-        from murmurate.experiments.training import discover
+        from murmurate.runs import experiment
+        from murmurate.runs.train import discover
 
-        discover(config.load(folder), folder, resume=True)
+        discover(experiment.load(folder), folder, resume=True)
     except (InputError, RunError) as error:
         return str(error)
     except Exception as error:

@@ -1,16 +1,16 @@
 """The Markov decision process: world, signals, objective and starts. Knows geometry and nothing of learning."""
 
-from murmurate.world.config import WorldConfig, grown
-from murmurate.world.perception import Observation, Perceived, PerceivedState
-from murmurate.world.schedulers import Scheduled, ScheduledState, SchedulerConfig, SchedulerKind, epochs_of
+from murmurate.world.config import WorldConfig, scaled_to
+from murmurate.world.perception import LocalObservation, Observation, ObservedState
+from murmurate.world.scheduling import ScheduledState, SchedulerConfig, SchedulerKind, SchedulerWrapper, epochs_of
 from murmurate.world.sensing import Frames, SensingConfig, SensingKind, View, draw_frames, perceive
 from murmurate.world.signals import OBJECTIVES, Objective, WeightsConfig, signal_names, signals
 from murmurate.world.starts import (
-    Anywhere,
-    Layouts,
-    Mixture,
+    JitteredStart,
+    MixtureStart,
     Start,
     StartConfig,
+    UniformStart,
     check_configurations,
     draw_starts,
     layout,
@@ -22,25 +22,25 @@ from murmurate.world.world import State, Transition, World
 
 __all__ = [
     "OBJECTIVES",
-    "Anywhere",
     "Family",
     "Frames",
-    "Layouts",
-    "Mixture",
+    "JitteredStart",
+    "LocalObservation",
+    "MixtureStart",
     "Objective",
     "Observation",
-    "Perceived",
-    "PerceivedState",
-    "Scheduled",
+    "ObservedState",
     "ScheduledState",
     "SchedulerConfig",
     "SchedulerKind",
+    "SchedulerWrapper",
     "SensingConfig",
     "SensingKind",
     "Start",
     "StartConfig",
     "State",
     "Transition",
+    "UniformStart",
     "View",
     "WeightsConfig",
     "World",
@@ -50,11 +50,11 @@ __all__ = [
     "draw_starts",
     "epochs_of",
     "family",
-    "grown",
     "layout",
     "make_start",
     "perceive",
     "read_starts",
+    "scaled_to",
     "signal_names",
     "signals",
     "symmetric_starts",

@@ -7,7 +7,7 @@ from typing import Literal, get_args
 
 from murmurate.errors import GREATEST, InputError, check_number
 
-__all__ = ["Safety", "WorldConfig", "grown"]
+__all__ = ["Safety", "WorldConfig", "scaled_to"]
 
 Safety = Literal["penalty", "shell"]
 
@@ -53,7 +53,7 @@ class WorldConfig:
             raise InputError("safety", self.safety, f"one of {', '.join(get_args(Safety))}")
 
 
-def grown(config: WorldConfig, robots: int) -> WorldConfig:
+def scaled_to(config: WorldConfig, robots: int) -> WorldConfig:
     """Returns the same world for a swarm of another size: its robots are the same, its sides and the scan radius grow.
 
     The paper's worlds have half-sides of 20 + 2.5 N. The smallest ring of robots that all see each other grows as N^2,

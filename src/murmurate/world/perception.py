@@ -14,10 +14,10 @@ from murmurate.world.sensing import Frames, SensingConfig, View, draw_frames, pe
 from murmurate.world.starts import Start
 from murmurate.world.world import World
 
-__all__ = ["Observation", "Perceived", "PerceivedState"]
+__all__ = ["LocalObservation", "Observation", "ObservedState"]
 
 
-class PerceivedState(eqx.Module):
+class ObservedState(eqx.Module):
     """Where the robots are, and how each of them looks at it.
 
     Attributes:
@@ -55,13 +55,13 @@ class Observation(eqx.Module):
     walls: Float[Array, "robots *batch"]
 
 
-class Perceived(eqx.Module):
+class LocalObservation(eqx.Module):
     """A world, seen by its robots. An action is each robot's velocity in its own frame, world units per step.
 
     Robots know their own size, so that a velocity needs no unit of length: only its direction is the robot's own.
 
     Attributes:
-        env: The world, or something that steps one, such as `Scheduled` or `learning.Repeated`.
+        env: The world, or something that steps one, such as `SchedulerWrapper` or `learning.ActionRepeat`.
         world: The world: its sizes, and how a configuration is measured.
         sensing: What is perceived, in which frames.
     """
@@ -70,12 +70,12 @@ class Perceived(eqx.Module):
     world: World
     sensing: SensingConfig = eqx.field(static=True)
 
-    def reset_batch(self, key: PRNGKeyArray, batch: int) -> PerceivedState:
+    def reset_batch(self, key: PRNGKeyArray, batch: int) -> ObservedState:
         """Begins a batch of episodes, each at a fresh start and with fresh frames."""
         begin, look = jax.random.split(key)
         return self._looking(self.env.reset_batch(begin, batch), jax.random.split(look, batch))
 
-    def state(self, positions: Float[Array, "robots 2 *batch"], seed: Any = 0) -> PerceivedState:
+    def state(self, positions: Float[Array, "robots 2 *batch"], seed: Any = 0) -> ObservedState:
         """Returns the state at the beginning of an episode from the given configurations."""
         return self._looking(self.env.state(positions, seed), episode_keys(seed, positions))
 
@@ -88,7 +88,7 @@ class Perceived(eqx.Module):
         """Returns the signals of configurations by name."""
         return self.world.signals(positions)
 
-    def observe(self, state: PerceivedState) -> Observation:
+    def observe(self, state: ObservedState) -> Observation:
         """Looks around from every robot."""
         world, keys = self.world, wrapped(state.key)
         reach, half_width, half_height = world.scan_radius, world.half_width, world.half_height
@@ -96,14 +96,14 @@ class Perceived(eqx.Module):
         aside, above = half_width - abs(state.positions[:, 0]), half_height - abs(state.positions[:, 1])
         return Observation(view, state.positions, jnp.maximum(jnp.minimum(aside, above), 0.0))
 
-    def step(self, state: PerceivedState, action: Float[Array, "robots 2 *batch"]) -> tuple[PerceivedState, Any]:
+    def step(self, state: ObservedState, action: Float[Array, "robots 2 *batch"]) -> tuple[ObservedState, Any]:
         """Moves every robot by its own velocity; see `World.step`."""
         after, transition = self.env.step(state.world, state.frames.outward(action))
         keys = following(wrapped(state.key))
         if self.sensing.redrawn:
             return self._looking(after, keys), transition
-        return PerceivedState(after, state.frames, plain(keys)), transition
+        return ObservedState(after, state.frames, plain(keys)), transition
 
-    def _looking(self, state: Any, keys: PRNGKeyArray) -> PerceivedState:
+    def _looking(self, state: Any, keys: PRNGKeyArray) -> ObservedState:
         frames = draw_frames(self.sensing, keys, state.positions.shape[0], state.positions.dtype)
-        return PerceivedState(state, frames, plain(following(keys)))
+        return ObservedState(state, frames, plain(following(keys)))

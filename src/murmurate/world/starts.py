@@ -28,11 +28,11 @@ from murmurate.geometry.visibility import fold
 from murmurate.world.config import WorldConfig
 
 __all__ = [
-    "Anywhere",
-    "Layouts",
-    "Mixture",
+    "JitteredStart",
+    "MixtureStart",
     "Start",
     "StartConfig",
+    "UniformStart",
     "check_configurations",
     "draw_starts",
     "layout",
@@ -95,7 +95,7 @@ class Start(eqx.Module):
         """
 
 
-class Layouts(Start):
+class JitteredStart(Start):
     """One of some given configurations, each coordinate plus uniform noise (paper, equation 11)."""
 
     points: Float[Array, "layouts robots 2"]
@@ -119,8 +119,8 @@ class Layouts(Start):
         return _without_overlap(draw, propose, self.radius, rounds)
 
 
-class Anywhere(Start):
-    """Anywhere in the world; with `spread` below 1, in two randomly placed windows, each a random share of it.
+class UniformStart(Start):
+    """UniformStart in the world; with `spread` below 1, in two randomly placed windows, each a random share of it.
 
     Windows are placed anywhere and pushed inside, so small ones often lie along a wall or in a corner; how the robots
     divide between the two is random as well, all in one included.
@@ -157,7 +157,7 @@ class Anywhere(Start):
         return _without_overlap(draw, propose, self.radius, rounds)
 
 
-class Mixture(Start):
+class MixtureStart(Start):
     """The second start with probability `share`, else the first."""
 
     first: Start
@@ -343,14 +343,14 @@ def make_start(config: StartConfig, world: WorldConfig) -> Start:
     """
     sizes = {"half_width": world.half_width, "half_height": world.half_height, "radius": world.radius}
     if config.kind == "random":
-        start: Start = Anywhere(robots=world.robots, **sizes)
+        start: Start = UniformStart(robots=world.robots, **sizes)
     else:
         if config.kind == "file":
             points = read_starts(config.file, world.robots)
             check_configurations(points, world, config.file)
         else:
             points = layout(config, world)[None]
-        start = Layouts(points=jnp.asarray(points, jnp.float32), noise=config.noise * world.radius, **sizes)
+        start = JitteredStart(points=jnp.asarray(points, jnp.float32), noise=config.noise * world.radius, **sizes)
     _check_possible(start, config, world)
     return start
 

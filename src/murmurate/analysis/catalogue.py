@@ -1,0 +1,390 @@
+"""What was found, by any number of runs: valid patterns sorted into classes of the same pattern.
+
+Findings are put in order, best first. Each then joins the nearest leader within the tolerance or, where there is none,
+leads a class of its own: the leader, which represents the class, is its pattern of greatest value. So classes depend on
+the findings alone, and not on the order in which they came; merging catalogues is sorting the union of their findings.
+
+Values of different objectives do not compare: findings for C1 come before those for C2.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import operator
+from collections import Counter
+from collections.abc import Iterable, Mapping, Set
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from murmurate.analysis.measures import convex_layers, nearest_distances, visibility_margin
+from murmurate.analysis.symmetry import SYMMETRY_TOLERANCE, Symmetry, symmetry
+from murmurate.errors import GREATEST, MOST, InputError, check_choice, check_number
+from murmurate.geometry.similarity import configuration, distance, profile
+
+__all__ = ["TOLERANCE", "Catalogue", "Finding", "PatternClass", "merge"]
+
+TOLERANCE = 0.125
+"""Default tolerance, in root mean square radii, chosen by measurement.
+
+Patterns of eight and ten robots, relaxed from random starts until nothing moves, are either the same to 0.015 or, but
+for 12 of 21,000 pairs, more than 0.125 apart (the 12 have a single robot elsewhere). Learned patterns of eight and ten
+robots agree to 0.03 (experiments B, C, E and F). Six small robots have room to drift: in A those of one kind differ by
+up to 0.12, and the next kind is 0.15 away; in D there are all distances up to 0.5, fewest from 0.125 to 0.175. So it
+looks, too: when two patterns of six are laid onto each other, all discs overlap or touch up to about 0.12, and a robot
+is out of its place at 0.15.
+"""
+
+FORMAT = 1
+ROUNDING = 1e-12
+"""By how much a bound of a distance may be above it, for rounding alone."""
+
+_LENGTH, _VALUE = (1 / GREATEST, GREATEST), (-GREATEST, GREATEST)
+_NUMBERS = {"radius": _LENGTH, "safe_distance": _LENGTH, "scan_radius": _LENGTH, "value": _VALUE, "gap": _VALUE}
+_INTEGERS = {"seed": 2**32 - 1, "episode": MOST}
+_TEXTS = ("experiment", "policy", "start", "run")
+_OPTIONS = ("tolerance", "symmetry_tolerance", "scaling", "reflection")
+
+HEADER = (
+    *("name", "count", "symmetry", "residual", "layers", "objective", "value", "gap", "spread", "margin"),
+    *("nearest_min", "nearest_mean", "nearest_max", "starts", "seeds"),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Finding:
+    """One valid pattern, and where it is from.
+
+    Attributes:
+        positions: Centres of the robots at rest, world units.
+        radius: The paper's R_bot, world units.
+        safe_distance: The paper's delta_s, world units.
+        scan_radius: The paper's R_scan, world units.
+        objective: C1 or C2.
+        value: The objective that was reached, with all weights 1.
+        gap: By how much the best known value is greater; None when that is not known.
+        experiment: The experiment that found it.
+        policy: Its kind of policy.
+        start: Its kind of start.
+        seed: Its seed.
+        run: What tells the run from all others, such as a checksum.
+        episode: Which of the run's episodes ended in it.
+    """
+
+    positions: Float[np.ndarray, "robots 2"]
+    radius: float
+    safe_distance: float
+    scan_radius: float
+    objective: str
+    value: float
+    gap: float | None
+    experiment: str
+    policy: str
+    start: str
+    seed: int
+    run: str
+    episode: int
+
+    def __post_init__(self) -> None:
+        points = configuration(self.positions) + 0.0  # without -0.0, which would be written in another way
+        if len(points) < 2 or np.abs(points).max() > GREATEST:
+            raise InputError("positions", points.shape, f"of two or more robots, each number within {GREATEST:g}")
+        points.flags.writeable = False
+        object.__setattr__(self, "positions", points)
+        check_choice("objective", self.objective, ("C1", "C2"))
+        for name, (low, high) in _NUMBERS.items():
+            number = getattr(self, name)
+            if name == "gap" and number is None:
+                continue
+            check_number(name, number, low, high)
+            object.__setattr__(self, name, float(number) + 0.0)
+        for name, high in _INTEGERS.items():
+            check_number(name, getattr(self, name), 0, high, integer=True)
+            object.__setattr__(self, name, int(getattr(self, name)))
+        for name in _TEXTS:
+            text = getattr(self, name)
+            if not isinstance(text, str) or not text or not text.isprintable():
+                raise InputError(name, text, "a line of text")
+
+    def to_dict(self) -> dict[str, Any]:
+        """Returns what JSON can hold, without loss."""
+        values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        return values | {"positions": self.positions.tolist()}
+
+    @classmethod
+    def from_dict(cls, data: Any, where: str = "finding") -> Finding:
+        """Reads what `to_dict` wrote.
+
+        Raises:
+            InputError: A field is missing, unknown or not allowed.
+        """
+        _check_fields(data, {field.name for field in dataclasses.fields(cls)}, where)
+        try:
+            return cls(**data)
+        except InputError as error:
+            raise InputError(f"{where}.{error.field}", error.value, error.allowed) from None
+
+    @property
+    def source(self) -> str:
+        """The experiment, the kind of policy and the seed."""
+        return f"{self.experiment} {self.policy} {self.seed}"
+
+
+@dataclass(frozen=True, eq=False)
+class PatternClass:
+    """Findings that are the same pattern. What is measured, is measured on the representative.
+
+    Attributes:
+        name: P1 for the class of greatest value, then P2 and so on.
+        members: The findings, best first.
+        spread: Greatest distance of a member to the representative.
+        symmetry: Its symmetry.
+        layers: Robots on its convex hull, on the hull of those inside, and so on.
+        nearest: Each robot's distance to the nearest other one, world units.
+        margin: Least gap between a disc and a shadow, radii.
+    """
+
+    name: str
+    members: tuple[Finding, ...]
+    spread: float
+    symmetry: Symmetry
+    layers: tuple[int, ...]
+    nearest: Float[np.ndarray, " robots"]
+    margin: float
+
+    @property
+    def representative(self) -> Finding:
+        """The member of greatest value."""
+        return self.members[0]
+
+    @property
+    def count(self) -> int:
+        """How many findings it has."""
+        return len(self.members)
+
+    @property
+    def value(self) -> float:
+        """The objective of the representative."""
+        return self.representative.value
+
+    @property
+    def gap(self) -> float | None:
+        """By how much the best known value is greater; None when that is not known."""
+        return self.representative.gap
+
+    @property
+    def starts(self) -> dict[str, int]:
+        """Findings by kind of start."""
+        return _counts(member.start for member in self.members)
+
+    @property
+    def seeds(self) -> dict[str, int]:
+        """Findings by experiment, kind of policy and seed."""
+        return _counts(member.source for member in self.members)
+
+
+@dataclass(frozen=True, eq=False)
+class Catalogue:
+    """Findings and their classes; made by `of`, `merge` and `from_dict`.
+
+    Attributes:
+        findings: All findings, best first.
+        classes: Their classes, best first.
+        tolerance: Greatest distance of a member to its class's representative.
+        symmetry_tolerance: By how much a symmetry may miss, root mean square radii.
+        scaling: Whether size does not matter: distances are then in root mean square radii, else in world units.
+        reflection: Whether mirror images are the same pattern.
+    """
+
+    findings: tuple[Finding, ...]
+    classes: tuple[PatternClass, ...]
+    tolerance: float
+    symmetry_tolerance: float
+    scaling: bool
+    reflection: bool
+
+    @classmethod
+    def of(
+        cls,
+        findings: Iterable[Finding],
+        *,
+        tolerance: float | None = None,
+        symmetry_tolerance: float = SYMMETRY_TOLERANCE,
+        scaling: bool = True,
+        reflection: bool = True,
+    ) -> Catalogue:
+        """Sorts findings into classes. What the same episode of the same run found twice counts once.
+
+        Args:
+            findings: The findings, in any order.
+            tolerance: Greatest distance of a member to its class's representative; by default `TOLERANCE`, which is
+                for `scaling`.
+            symmetry_tolerance: By how much a symmetry may miss, root mean square radii.
+            scaling: Whether size does not matter: distances are then in root mean square radii, else in world units.
+            reflection: Whether mirror images are the same pattern.
+
+        Raises:
+            InputError: There are no findings, they do not compare, or a tolerance is not positive.
+        """
+        if tolerance is None:
+            if not scaling:
+                raise InputError("tolerance", None, "given, in world units, where patterns are not scaled")
+            tolerance = TOLERANCE
+        check_number("tolerance", tolerance, 0, GREATEST, exclusive_low=True)
+        check_number("symmetry_tolerance", symmetry_tolerance, 0, GREATEST, exclusive_low=True)
+        unique = _unique(findings)
+        _check_comparable(unique, scaling)
+        classes = tuple(
+            _described(f"P{number}", group, symmetry_tolerance)
+            for number, group in enumerate(_grouped(unique, tolerance, scaling, reflection), start=1)
+        )
+        return cls(tuple(unique), classes, float(tolerance), float(symmetry_tolerance), scaling, reflection)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Returns what JSON can hold, without loss: the findings, of which the classes are made again."""
+        options = {name: getattr(self, name) for name in _OPTIONS}
+        return {"format": FORMAT} | options | {"findings": [finding.to_dict() for finding in self.findings]}
+
+    @classmethod
+    def from_dict(cls, data: Any) -> Catalogue:
+        """Reads what `to_dict` wrote.
+
+        Raises:
+            InputError: A field is missing, unknown or not allowed.
+        """
+        _check_fields(data, {"format", *_OPTIONS, "findings"}, "catalogue")
+        if data["format"] != FORMAT:
+            raise InputError("format", data["format"], f"{FORMAT}, which this version of murmurate reads")
+        for name in ("scaling", "reflection"):
+            if not isinstance(data[name], bool):
+                raise InputError(name, data[name], "true or false")
+        if not isinstance(data["findings"], list):
+            raise InputError("findings", type(data["findings"]).__name__, "a list")
+        findings = [Finding.from_dict(item, f"findings[{place}]") for place, item in enumerate(data["findings"])]
+        return cls.of(findings, **{name: data[name] for name in _OPTIONS})
+
+    def rows(self) -> list[tuple[Any, ...]]:
+        """Returns a table for a CSV file: the header, then a row for each class."""
+        return [HEADER, *map(_row, self.classes)]
+
+
+def merge(catalogues: Iterable[Catalogue]) -> Catalogue:
+    """Returns the catalogue of all findings of several; in what order they are merged, and how often, does not matter.
+
+    Raises:
+        InputError: There is none, their options differ, or their findings do not compare.
+    """
+    catalogues = list(catalogues)
+    if not catalogues:
+        raise InputError("catalogues", 0, "one or more")
+    for name in _OPTIONS:
+        first, *others = (getattr(catalogue, name) for catalogue in catalogues)
+        for other in others:
+            if other != first:
+                raise InputError(name, other, f"{first}, as in the first catalogue")
+    findings = (finding for catalogue in catalogues for finding in catalogue.findings)
+    return Catalogue.of(findings, **{name: getattr(catalogues[0], name) for name in _OPTIONS})
+
+
+def _unique(findings: Iterable[Finding]) -> list[Finding]:
+    """Puts findings in order, best first, and leaves out what the same episode of the same run found before."""
+    unique: dict[tuple[Any, ...], Finding] = {}
+    for rank, finding in sorted(((_rank(finding), finding) for finding in findings), key=operator.itemgetter(0)):
+        unique.setdefault(rank[2:5], finding)
+    return list(unique.values())
+
+
+def _rank(finding: Finding) -> tuple[Any, ...]:
+    """Returns what findings are ordered by: everything, so that the order is always the same."""
+    gap = math.inf if finding.gap is None else finding.gap
+    identity = (finding.run, finding.episode, tuple(map(tuple, finding.positions.tolist())))
+    numbers = (finding.seed, gap, finding.radius, finding.safe_distance, finding.scan_radius)
+    return (finding.objective, -finding.value, *identity, finding.experiment, finding.policy, finding.start, *numbers)
+
+
+def _check_comparable(findings: Iterable[Finding], scaling: bool) -> None:
+    robots = sorted({len(finding.positions) for finding in findings})
+    radii = sorted({finding.radius for finding in findings})
+    if not robots:
+        raise InputError("findings", 0, "one or more")
+    if len(robots) > 1:
+        raise InputError("robots", robots, "the same number in all findings")
+    if len(radii) > 1 and not scaling:
+        raise InputError("radius", radii, "the same in all findings, where patterns are not scaled")
+
+
+def _grouped(
+    findings: list[Finding], tolerance: float, scaling: bool, reflection: bool
+) -> list[list[tuple[Finding, float]]]:
+    """Sorts findings, best first, into classes: lists of members and their distances to the first."""
+    profiles = np.array([profile(finding.positions, scaling=scaling) for finding in findings])
+    leaders: list[int] = []
+    groups: list[list[tuple[Finding, float]]] = []
+    for place, finding in enumerate(findings):
+        bounds = np.sqrt(np.mean((profiles[leaders] - profiles[place]) ** 2, axis=1))
+        joined, nearest = None, tolerance
+        for number in np.argsort(bounds, kind="stable"):
+            if bounds[number] > nearest + ROUNDING:
+                break
+            leader = findings[leaders[number]].positions
+            apart = distance(leader, finding.positions, scaling=scaling, reflection=reflection, limit=nearest)
+            if apart <= nearest:
+                joined, nearest = int(number), apart
+        if joined is None:
+            leaders.append(place)
+            groups.append([(finding, 0.0)])
+        else:
+            groups[joined].append((finding, nearest))
+    return groups
+
+
+def _described(name: str, group: list[tuple[Finding, float]], tolerance: float) -> PatternClass:
+    members, distances = zip(*group, strict=True)
+    best = members[0]
+    return PatternClass(
+        name=name,
+        members=members,
+        spread=max(distances),
+        symmetry=symmetry(best.positions, tolerance),
+        layers=convex_layers(best.positions),
+        nearest=nearest_distances(best.positions),
+        margin=visibility_margin(best.positions, best.radius),
+    )
+
+
+def _counts(labels: Iterable[str]) -> dict[str, int]:
+    return dict(sorted(Counter(labels).items()))
+
+
+def _row(pattern: PatternClass) -> tuple[Any, ...]:
+    nearest = pattern.nearest
+    return (
+        pattern.name,
+        pattern.count,
+        pattern.symmetry.name,
+        pattern.symmetry.residual,
+        "+".join(map(str, pattern.layers)),
+        pattern.representative.objective,
+        pattern.value,
+        pattern.gap,
+        pattern.spread,
+        pattern.margin,
+        *(float(nearest.min()), float(nearest.mean()), float(nearest.max())),
+        *(
+            "; ".join(f"{label}: {count}" for label, count in counts.items())
+            for counts in (pattern.starts, pattern.seeds)
+        ),
+    )
+
+
+def _check_fields(data: Any, names: Set[str], where: str) -> None:
+    """Checks that data is a dictionary with these fields and no others."""
+    if not isinstance(data, Mapping):
+        raise InputError(where, type(data).__name__, f"an object with the fields {', '.join(sorted(names))}")
+    for name in sorted(names - data.keys()):
+        raise InputError(f"{where}.{name}", None, "given")
+    for name in sorted(data.keys() - names, key=str):
+        raise InputError(f"{where}.{name}", data[name], f"one of the fields {', '.join(sorted(names))}")

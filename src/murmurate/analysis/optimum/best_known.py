@@ -1,0 +1,170 @@
+"""The best-known patterns: a small table in the package, measured anew by the exact kernels whenever it is asked.
+
+`make optima` searches again and writes the table; docs/patterns.md shows it, with what is proved.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import json
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from importlib import resources
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from murmurate.analysis.optimum.formation import Target
+from murmurate.errors import InputError, check_choice
+from murmurate.world import OBJECTIVES, WeightsConfig, WorldConfig
+
+__all__ = ["TABLE", "BestKnown", "best_known", "is_record", "load", "to_json"]
+
+TABLE = "best_known.json"
+
+BEATS = 1e-6
+"""A record is better by more than this: what is reached is recorded in float32."""
+
+
+@dataclass(frozen=True, eq=False)
+class BestKnown:
+    """One entry of the table.
+
+    Attributes:
+        robots: Swarm size.
+        objective: C1 or C2.
+        radius: The paper's R_bot.
+        safe_distance: The paper's delta_s.
+        scan_radius: The paper's R_scan.
+        half_width: X of the world in which `value` is measured; the pattern itself fits other worlds too.
+        half_height: Its Y.
+        value: The objective, all weights 1.
+        signals: Its signals by name.
+        positions: Centres, world units.
+        command: What made it.
+        hop: What basin hopping reached, the check by another method; None where it was not tried.
+    """
+
+    robots: int
+    objective: str
+    radius: float
+    safe_distance: float
+    scan_radius: float
+    half_width: float
+    half_height: float
+    value: float
+    signals: Mapping[str, float]
+    positions: Float[np.ndarray, "robots 2"]
+    command: str
+    hop: float | None = None
+
+    @classmethod
+    def of(
+        cls, target: Target, positions: Float[np.ndarray, "robots 2"], command: str, hop: float | None = None
+    ) -> BestKnown:
+        """Makes an entry of a pattern."""
+        sizes = {name: getattr(target.world, name) for name in _SIZES}
+        return cls(
+            objective=target.objective,
+            value=target.value(positions),
+            signals=_measured(target, positions),
+            positions=np.asarray(positions),
+            command=command,
+            hop=hop,
+            **sizes,
+        )
+
+    @classmethod
+    def from_dict(cls, entry: Any) -> BestKnown:
+        """Reads an entry, and measures it again.
+
+        Raises:
+            InputError: It is none, or its value is not what its positions have.
+        """
+        names = {field.name for field in dataclasses.fields(cls)}
+        if not isinstance(entry, dict) or set(entry) != names:
+            raise InputError("pattern", sorted(entry) if isinstance(entry, dict) else entry, f"{sorted(names)}")
+        check_choice("objective", entry["objective"], tuple(OBJECTIVES))
+        try:
+            positions = np.array(entry["positions"], float)
+        except (TypeError, ValueError):
+            positions = np.empty(0)
+        if positions.shape != (entry["robots"], 2) or not np.isfinite(positions).all():
+            raise InputError("positions", positions.shape, f"finite numbers of shape ({entry['robots']}, 2)")
+        found = cls(**{**entry, "positions": positions})
+        if not isinstance(found.value, float) or abs(found.target.value(positions) - found.value) > 1e-12:
+            raise InputError("value", found.value, f"{found.target.value(positions)!r}, as its positions have")
+        measured = _measured(found.target, positions)
+        given = found.signals if isinstance(found.signals, dict) else {}
+        if given.keys() != measured.keys() or any(abs(given[name] - measured[name]) > 1e-8 for name in given):
+            raise InputError("signals", found.signals, f"{measured}, as its positions have")
+        return found
+
+    @property
+    def target(self) -> Target:
+        """What the entry is best for."""
+        return Target(WorldConfig(**{name: getattr(self, name) for name in _SIZES}), self.objective)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Returns the entry as JSON has it."""
+        return {field.name: getattr(self, field.name) for field in dataclasses.fields(self)} | {
+            "positions": self.positions.tolist()
+        }
+
+    def scaled(self, safe_distance: float) -> Float[np.ndarray, "robots 2"]:
+        """Returns the positions for another safe distance (and the radius in the same ratio to it)."""
+        return self.positions * (safe_distance / self.safe_distance)
+
+
+def _measured(target: Target, positions: Float[np.ndarray, "robots 2"]) -> dict[str, float]:
+    """Returns the signals, rounded: the last bits are not the same on every machine."""
+    signals = target.signals(np.asarray(positions, float))
+    return {name: round(float(value), 9) for name, value in signals.items()}
+
+
+_SIZES = ("robots", "radius", "safe_distance", "scan_radius", "half_width", "half_height")
+
+
+@functools.cache
+def load() -> tuple[BestKnown, ...]:
+    """Reads the table of the package."""
+    text = resources.files("murmurate.analysis").joinpath(TABLE).read_text("utf-8")
+    return tuple(BestKnown.from_dict(entry) for entry in json.loads(text))
+
+
+def to_json(entries: Iterable[BestKnown]) -> str:
+    """Writes entries as `load` reads them: one line each."""
+    lines = ",\n".join(json.dumps(entry.to_dict(), allow_nan=False) for entry in entries)
+    return f"[\n{lines}\n]\n"
+
+
+def best_known(target: Target) -> float | None:
+    """Returns the greatest objective that a known valid pattern has in a world.
+
+    Args:
+        target: The world and the objective; all weights 1 and the `penalty` reading of safety, like the table.
+
+    Returns:
+        None where nothing is known: for other weights, and for sizes that are in no entry's proportions.
+    """
+    world = target.world
+    if target.weights != WeightsConfig() or world.safety != "penalty":
+        return None
+    values = [
+        target.value(positions)
+        for entry in load()
+        if (entry.robots, entry.objective) == (world.robots, target.objective)
+        and math.isclose(entry.radius * world.safe_distance, world.radius * entry.safe_distance, rel_tol=1e-9)
+        # Scaled, a distance may round to just below the safe one: hence a hair wider.
+        and target.is_valid(positions := entry.scaled(world.safe_distance * (1 + 1e-12)))
+    ]
+    return max(values, default=None)
+
+
+def is_record(target: Target, value: float) -> bool:
+    """Says whether a valid pattern's objective beats the best known one."""
+    known = best_known(target)
+    return known is not None and value > known + BEATS

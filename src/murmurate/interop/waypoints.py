@@ -1,0 +1,225 @@
+"""Recorded ways into a pattern as multi-robot test beds take them: time-stamped waypoints in metres.
+
+A world has no unit of length or time, so both scales are stated: metres for a world unit, seconds for a step. What is
+written is judged as it is written: whether robots keep apart at any moment, and how fast they have to be.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from murmurate.errors import GREATEST, InputError, RunError, check_number
+from murmurate.geometry import closest_approach, leaves
+from murmurate.runs import experiment as configuration
+from murmurate.runs import storage
+from murmurate.runs.evaluate import TRAJECTORIES
+from murmurate.runs.experiment import ExperimentConfig
+
+__all__ = ["FORMATS", "Format", "Scale", "Waypoints"]
+
+Format = Literal["csv", "json"]
+FORMATS = ("csv", "json")
+
+COLUMNS = ("episode", "time_s", "robot", "x_m", "y_m")
+
+DIGITS = 6
+"""Decimals of metres and seconds: micrometres and microseconds."""
+
+
+@dataclass(frozen=True)
+class Scale:
+    """How large a world unit is, how long a step takes, and what the robots are that are to follow.
+
+    Attributes:
+        metres: Metres of a world unit.
+        seconds: Seconds of a step.
+        robot_radius: Radius of the robots that are to follow, metres; None: the world's, scaled.
+        robot_speed: Speed that they reach, metres per second; None: whatever is needed.
+    """
+
+    metres: float = 0.1
+    seconds: float = 1.0
+    robot_radius: float | None = None
+    robot_speed: float | None = None
+
+    def __post_init__(self) -> None:
+        for flag, value in (("--scale", self.metres), ("--period", self.seconds)):
+            check_number(flag, value, 1e-3, GREATEST)
+        for flag, value in (("--robot-radius", self.robot_radius), ("--robot-speed", self.robot_speed)):
+            if value is not None:
+                check_number(flag, value, 0, GREATEST, exclusive_low=True)
+
+
+@dataclass(frozen=True, eq=False)
+class Waypoints:
+    """Episodes of a run, scaled and rounded as they are written.
+
+    Attributes:
+        experiment: The run's experiment.
+        scale: The scales.
+        episodes: Places of the episodes in the run's evaluation.
+        times: Time of every waypoint, seconds, likewise.
+        positions: Centres, metres, one array for each episode.
+        left_out: Episodes that are left out, as they ended in a collision or outside the world.
+    """
+
+    experiment: ExperimentConfig
+    scale: Scale
+    episodes: tuple[int, ...]
+    times: tuple[Float[np.ndarray, " waypoints"], ...]
+    positions: tuple[Float[np.ndarray, "waypoints robots 2"], ...]
+    left_out: tuple[int, ...]
+
+    @classmethod
+    def of_run(cls, folder: str | Path, scale: Scale, episodes: int | None = None) -> Waypoints:
+        """Reads the episodes that a run recorded.
+
+        Args:
+            folder: The run folder.
+            scale: The scales.
+            episodes: How many to take; None: all of them.
+
+        Raises:
+            RunError: The folder is missing, unfinished or damaged, or no episode can be followed.
+            InputError: There are not as many episodes, or the robots of `scale` cannot follow.
+        """
+        folder = Path(folder)
+        storage.verify(folder, storage.read_manifest(folder))
+        experiment = configuration.load(folder)
+        arrays = storage.read_npz(folder / TRAJECTORIES)
+        positions, lengths = arrays["positions"].astype(float), arrays["lengths"]
+        if episodes is not None:
+            check_number("--episodes", episodes, 1, len(positions), integer=True)
+        chosen = range(len(positions) if episodes is None else episodes)
+        kept = [place for place in chosen if _passable(positions[place], experiment)]
+        if not kept:
+            raise RunError(f"{folder}: every one of {len(chosen)} episodes ended in a collision or outside the world")
+        points = [np.round(scale.metres * positions[place, : lengths[place] + 1], DIGITS) for place in kept]
+        times = [np.round(scale.seconds * np.arange(len(each)), DIGITS) for each in points]
+        left_out = tuple(sorted(set(chosen) - set(kept)))
+        scaled = cls(experiment, scale, tuple(kept), tuple(times), tuple(points), left_out)
+        scaled.check()
+        return scaled
+
+    @property
+    def fastest(self) -> float:
+        """The greatest speed between two waypoints, metres per second."""
+        return max(float(np.linalg.norm(velocities, axis=2).max(initial=0)) for velocities in self._velocities())
+
+    @property
+    def nearest(self) -> float:
+        """The least distance of two centres at any moment, metres."""
+        steps = zip(self.positions, self.times, self._velocities(), strict=True)
+        return min(_nearest(points, np.diff(times), velocities) for points, times, velocities in steps)
+
+    @property
+    def radius(self) -> float:
+        """Radius of the robots that are to follow, metres."""
+        return self.scale.robot_radius or self.scale.metres * self.experiment.world.radius
+
+    @property
+    def limit(self) -> float:
+        """The world's bound on each component of a velocity, metres per second."""
+        return self.experiment.world.max_speed * self.scale.metres / self.scale.seconds
+
+    def check(self) -> None:
+        """Checks that what is written can be followed: speeds hold, and nobody touches at any moment.
+
+        Raises:
+            InputError: It cannot, by the robots that are named.
+        """
+        # A rounded position is off by half a last digit, a difference of two by one.
+        slack = 10.0**-DIGITS
+        component = max(float(np.abs(velocities).max(initial=0)) for velocities in self._velocities())
+        if component > self.limit + slack / self.scale.seconds:
+            raise RunError(f"a robot's velocity has a component of {component:g} m/s; the limit is {self.limit:g} m/s")
+        speed, fastest = self.scale.robot_speed, self.fastest
+        if speed is not None and fastest > speed:
+            period = self.scale.seconds * fastest / speed
+            raise InputError("--robot-speed", speed, f"at least {fastest:.4g} m/s; or --period at least {period:.4g}")
+        if self.nearest <= 2 * self.radius:
+            scale = self.scale.metres * 2 * self.radius / self.nearest
+            allowed = f"less than {self.nearest / 2:.4g} m, as centres come; or --scale greater than {scale:.4g}"
+            raise InputError("--robot-radius", self.radius, allowed)
+
+    def write(self, path: str | Path, kind: Format) -> None:
+        """Writes the waypoints, whole or not at all.
+
+        Raises:
+            RunError: The file cannot be written.
+        """
+        storage.write_text(path, self.as_csv() if kind == "csv" else storage.to_json(self.as_dict()) + "\n")
+
+    def about(self) -> dict[str, Any]:
+        """Returns the scales, and what holds of the waypoints."""
+        return {
+            "experiment": self.experiment.name,
+            "robots": self.experiment.world.robots,
+            "metres_per_world_unit": self.scale.metres,
+            "seconds_per_step": self.scale.seconds,
+            "robot_radius_m": round(self.radius, DIGITS),
+            "fastest_m_per_s": round(self.fastest, DIGITS),
+            "least_distance_of_centres_m": round(self.nearest, DIGITS),
+        }
+
+    def as_csv(self) -> str:
+        """Returns a table with a row for each waypoint, below lines of comment that state the scales."""
+        text = io.StringIO()
+        for name, value in self.about().items():
+            text.write(f"# {name}: {value}\n")
+        rows = csv.writer(text, lineterminator="\n")
+        rows.writerow(COLUMNS)
+        for episode, times, positions in zip(self.episodes, self.times, self.positions, strict=True):
+            for time, configuration_ in zip(times, positions, strict=True):
+                rows.writerows(
+                    (episode, f"{time:g}", robot, *map(_metres, at)) for robot, at in enumerate(configuration_)
+                )
+        return text.getvalue()
+
+    def as_dict(self) -> dict[str, Any]:
+        """Returns the scales, and for each robot of each episode its waypoints (time, x, y)."""
+        episodes = zip(self.episodes, self.times, self.positions, strict=True)
+        return {
+            **self.about(),
+            "columns": ["time_s", "x_m", "y_m"],
+            "episodes": [
+                {
+                    "episode": episode,
+                    "robots": [np.column_stack([times, positions[:, robot]]) for robot in range(positions.shape[1])],
+                }
+                for episode, times, positions in episodes
+            ],
+        }
+
+    def _velocities(self) -> list[Float[np.ndarray, "steps robots 2"]]:
+        pairs = zip(self.positions, self.times, strict=True)
+        return [np.diff(points, axis=0) / np.diff(times)[:, None, None] for points, times in pairs]
+
+
+def _passable(positions: Float[np.ndarray, "configurations robots 2"], experiment: ExperimentConfig) -> bool:
+    world = experiment.world
+    inside = ~leaves(np.moveaxis(positions, 0, -1), world.half_width, world.half_height).any()
+    return bool(
+        inside and _nearest(positions, np.ones(len(positions) - 1), np.diff(positions, axis=0)) > 2 * world.radius
+    )
+
+
+def _nearest(positions: np.ndarray, durations: np.ndarray, velocities: np.ndarray) -> float:
+    """Returns the least distance of two centres at any moment."""
+    others = ~np.eye(positions.shape[1], dtype=bool)
+    moves = durations[:, None, None] * velocities
+    if not len(moves):  # nobody moved
+        positions, moves = positions, np.zeros_like(positions)
+    first, moved = (np.moveaxis(array, 0, -1) for array in (positions[: len(moves)], moves))
+    return float(closest_approach(first, moved)[others].min())
+
+
+def _metres(value: float) -> str:
+    return f"{value:.{DIGITS}f}"

@@ -1,0 +1,33 @@
+"""Straight to the middle: gathering, and nothing else."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import equinox as eqx
+from jaxtyping import Array, Float
+
+from murmurate.policies import Sizes
+from murmurate.policies.baselines.avoidance import avoiding
+from murmurate.policies.baselines.sight import mean_of_seen, sight
+from murmurate.policies.local import Perception
+
+__all__ = ["Centroid"]
+
+GAIN = 0.5
+"""Share of the way that is left to do in one step, where the speed limit allows."""
+
+
+class Centroid(eqx.Module):
+    """Moves to the gathering point, or to the centroid of those seen, as near as the safe distance allows."""
+
+    title: ClassVar[str] = "Centroid"
+    centralised: ClassVar[bool] = False
+    deviations: ClassVar[str] = ""
+    sizes: Sizes = eqx.field(static=True)
+
+    def __call__(self, observation: Perception) -> Float[Array, "robots 2 *batch"]:
+        """Returns velocities in each robot's own frame, world units per step."""
+        seen = sight(observation.view, self.sizes)
+        x, y = (seen.point_x, seen.point_y) if self.sizes.landmark else mean_of_seen(seen)
+        return avoiding(GAIN * x, GAIN * y, seen, self.sizes)

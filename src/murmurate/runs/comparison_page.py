@@ -1,0 +1,107 @@
+"""A comparison as a page: its table in Markdown, by itself or as a part of another page."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from murmurate.runs.table import NONE, Row, as_markdown
+
+__all__ = ["HEADER", "kept", "page", "put_into", "rows"]
+
+HEADER = (
+    "method",
+    "sensing",
+    "scheduler",
+    "start",
+    "N",
+    "valid",
+    "95% interval",
+    "collided",
+    "left the world",
+    "hidden at the end",
+    "not at rest",
+    "steps",
+    "epochs",
+    "efficiency",
+    "gap",
+)
+
+BEGIN, END = "<!-- comparison -->", "<!-- end of comparison -->"
+
+
+def rows(found: Iterable[Mapping[str, Any]]) -> list[Row]:
+    """Returns a row of the table for each cell of comparison.json, under `HEADER`."""
+    return [
+        (
+            one["method"],
+            one["sensing"],
+            one["scheduler"],
+            one["start"],
+            str(one["robots"]),
+            f"{one['valid']} of {one['episodes']}",
+            f"{100 * one['interval'][0]:.1f}-{100 * one['interval'][1]:.1f}%",
+            str(one["collisions"]),
+            str(one["left"]),
+            str(one["hidden"]),
+            str(one["restless"]),
+            _number(one["steps"], "{:.1f}"),
+            _number(one["epochs"], "{:.1f}"),
+            _number(one["efficiency"], "{:.2f}"),
+            _number(one["gap"], "{:.4f}"),
+        )
+        for one in found
+    ]
+
+
+def page(
+    found: Sequence[Mapping[str, Any]], commands: Sequence[str], notes: Sequence[str] = (), pictures: str = ""
+) -> str:
+    """Writes what was compared, the table, and the figures.
+
+    Args:
+        found: Rows of comparison.json.
+        commands: What made it.
+        notes: Remarks on methods, one line each.
+        pictures: Folder of comparison.png and failures.png, as a prefix of their links.
+    """
+    failures = any(one["worst"] for one in found)
+    lines = [
+        "## Any swarm, with its own eyes, under any scheduler",
+        "",
+        "Made by",
+        "",
+        "```sh",
+        *commands,
+        "```",
+        "",
+        "Every cell has the same starts for all methods, none of them seen in training, the same speed limit and",
+        "the same step budget. Robots have directions and handedness of their own; only",
+        "`circle-central` has a common frame and all positions. Steps, epochs and efficiency (kinematic bound over",
+        "steps) are means over the valid episodes; the gap is to the best-known pattern, where there is one.",
+        "",
+        as_markdown(HEADER, rows(found)),
+        *(f"- {note}" for note in notes),
+        *([""] if notes else []),
+        f"![Valid patterns by method]({pictures}comparison.png)",
+    ]
+    if failures:
+        lines += ["", f"![The worst failures]({pictures}failures.png)"]
+    return "\n".join(lines) + "\n"
+
+
+def kept(text: str) -> str:
+    """Returns the comparison that a page holds, marks included; empty where there is none."""
+    _, mark, rest = text.partition(BEGIN)
+    inside, end, _ = rest.partition(END)
+    return f"{mark}{inside}{end}\n" if mark and end else ""
+
+
+def put_into(text: str, part: str) -> str:
+    """Returns a page with the comparison in the place of the one it holds, or at its end."""
+    old, new = kept(text), f"{BEGIN}\n{part}\n{END}\n"
+    return text.replace(old, new) if old else f"{text.rstrip()}\n\n{new}"
+
+
+def _number(value: float | None, form: str) -> str:
+    return NONE if value is None else form.format(value)

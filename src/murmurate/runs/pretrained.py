@@ -1,0 +1,38 @@
+"""Weights that come with the package: each a run, without its evaluation, that a named command makes again."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import murmurate
+from murmurate.errors import check_choice
+from murmurate.runs.comparison import SCHEDULERS, SENSINGS
+from murmurate.runs.run import Run
+from murmurate.runs.storage import MANIFEST
+
+__all__ = ["FOLDER", "available", "pretrained"]
+
+FOLDER = Path(murmurate.__file__).parent / "pretrained"
+"""One folder for each objective, in it one for each kind of sensing: weights serve every scheduler."""
+
+
+def available() -> dict[str, tuple[str, ...]]:
+    """Returns the objectives that there are weights for, and for which kinds of sensing."""
+    found = sorted((path.parent.parent.name, path.parent.name) for path in FOLDER.glob(f"*/*/{MANIFEST}"))
+    return {objective: tuple(one for name, one in found if name == objective) for objective, _ in found}
+
+
+def pretrained(objective: str = "C2", sensing: str = "visible", scheduler: str = "fsync") -> Run:
+    """Opens weights; see `murmurate.pretrained`.
+
+    Raises:
+        InputError: There are no such weights, or no such sensing or scheduler.
+        RunError: They are damaged.
+    """
+    known = available()
+    check_choice("objective", objective, tuple(known))
+    check_choice("sensing", sensing, tuple(name for name, eyes in SENSINGS.items() if eyes.kind in known[objective]))
+    check_choice("scheduler", scheduler, tuple(SCHEDULERS))
+    run = Run.open(FOLDER / objective / SENSINGS[sensing].kind)
+    return run.under(replace(run.experiment, sensing=SENSINGS[sensing], scheduler=SCHEDULERS[scheduler]))

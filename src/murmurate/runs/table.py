@@ -1,0 +1,175 @@
+"""Tables of results: one run beside the paper, and many runs together; on the terminal and as Markdown."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from rich.table import Table
+
+from murmurate.errors import RunError
+from murmurate.runs import experiment as configuration
+from murmurate.runs import storage
+from murmurate.runs.evaluate import EVALUATION, FRESH
+from murmurate.runs.paper import PaperExperiment
+from murmurate.runs.presets import paper_row
+
+__all__ = ["RESULTS", "Row", "as_markdown", "as_rich", "comparison", "gap", "paper_total", "read_evaluation", "results"]
+
+NONE = "-"
+Row = Sequence[str]
+
+RESULTS = (
+    "experiment",
+    "policy",
+    "seed",
+    "valid",
+    "collision-free",
+    "at rest",
+    "base steps",
+    "auxiliary steps",
+    "total steps",
+    "paper's total",
+    "bound",
+    "total / bound",
+    "gap",
+    "policies",
+    "environment steps",
+    "training",
+)
+
+
+def comparison(summary: Mapping[str, Any], row: PaperExperiment | None) -> tuple[Row, list[Row]]:
+    """Returns one evaluation beside the paper's Table IV.
+
+    Args:
+        summary: The contents of evaluation.json.
+        row: The paper's experiment; None when it has none like this. From other starts it does not compare.
+
+    Returns:
+        The header and the rows.
+    """
+    row = row if summary["starts"] == FRESH else None
+    header = (f"{summary['episodes']} {summary['starts']} starts", "paper", "this run")
+    paper = (
+        (f"{row.base_steps:.2f}", f"{row.auxiliary_steps:.2f}", paper_total(row)) if row is not None else (NONE,) * 3
+    )
+    steps = [f"{summary[name]:.2f}" for name in ("base_steps", "auxiliary_steps", "total_steps")]
+    low, high = (math.nan if end is None else end for end in summary["valid_interval"])
+    valid = f"{_count(summary, 'valid')} (95%: {100 * low:.1f}-{100 * high:.1f}%)"
+    return header, [
+        ("base steps", paper[0], steps[0]),
+        ("auxiliary steps", paper[1], steps[1]),
+        ("total steps", paper[2], steps[2]),
+        ("kinematic bound, steps", NONE, f"{summary['bound_steps']:.2f}"),
+        ("total / bound", NONE, _times(summary)),
+        ("collision-free", NONE, _count(summary, "collision_free")),
+        ("at rest", NONE, _count(summary, "at_rest")),
+        ("gathered", NONE, _count(summary, "gathered")),
+        ("mutually visible", NONE, _count(summary, "mutually_visible")),
+        ("safe", NONE, _count(summary, "safe")),
+        ("valid pattern", NONE, valid),
+        ("gap to the best-known pattern", NONE, gap(summary)),
+    ]
+
+
+def results(folders: Iterable[str | Path]) -> list[Row]:
+    """Returns a row for every finished run, under the header `RESULTS`.
+
+    Raises:
+        RunError: A folder is missing, unfinished, damaged or of an unknown version.
+    """
+    return [_result(Path(folder)) for folder in folders]
+
+
+def _result(folder: Path) -> Row:
+    manifest = storage.read_manifest(folder)
+    storage.verify(folder, manifest)
+    config, summary = configuration.load(folder), read_evaluation(folder)
+    row = paper_row(config) if summary["starts"] == FRESH else None
+    try:
+        policies = str(len(manifest["policies"]))
+        training = f"{manifest['environment_steps'] / 1e6:.2f} M", f"{manifest['train_seconds']:.0f} s"
+    except (KeyError, TypeError, ValueError) as error:
+        raise RunError(f"{folder / storage.MANIFEST} is incomplete: {error}") from None
+    return (
+        config.name,
+        config.policy.kind,
+        str(config.seed),
+        _count(summary, "valid"),
+        _count(summary, "collision_free"),
+        _count(summary, "at_rest"),
+        f"{summary['base_steps']:.1f}",
+        f"{summary['auxiliary_steps']:.1f}",
+        f"{summary['total_steps']:.1f}",
+        NONE if row is None else paper_total(row),
+        f"{summary['bound_steps']:.1f}",
+        _times(summary),
+        gap(summary),
+        policies,
+        *training,
+    )
+
+
+def read_evaluation(folder: str | Path) -> dict[str, Any]:
+    """Reads evaluation.json.
+
+    Raises:
+        RunError: It is missing or incomplete.
+    """
+    path = Path(folder) / EVALUATION
+    summary = storage.read_json(path)
+    needed = {"starts", "episodes", "valid", "valid_interval", "collision_free", "mutually_visible", "gathered", "safe"}
+    needed |= {"at_rest", "base_steps", "auxiliary_steps", "total_steps", "bound_steps"}
+    missing = needed - (summary.keys() if isinstance(summary, dict) else set())
+    if missing:
+        raise RunError(f"{path} lacks {min(missing)}: make it again with murmurate evaluate {folder}")
+    interval = summary["valid_interval"]
+    pair = interval if isinstance(interval, list) and len(interval) == 2 else [""]
+    numbers = [summary[name] for name in needed - {"starts", "valid_interval"}] + pair
+    if not all(value is None or isinstance(value, int | float) for value in numbers):
+        raise RunError(f"{path} holds what is no number: make it again with murmurate evaluate {folder}")
+    # What could not be computed, because a training went astray, is null.
+    return {name: float("nan") if value is None else value for name, value in summary.items()}
+
+
+def paper_total(row: PaperExperiment) -> str:
+    """Writes the paper's total steps; where the printed total is not the sum of its parts, both."""
+    if row.total_steps == row.summed_steps:
+        return f"{row.total_steps:.2f}"
+    return f"{row.total_steps:.2f} printed, {row.summed_steps:.2f} summed"
+
+
+def gap(summary: Mapping[str, Any]) -> str:
+    """Writes by how much the mean objective is below that of the best-known pattern, in percent of it."""
+    short, known = summary.get("gap"), summary.get("best_known")
+    if not isinstance(short, float) or not isinstance(known, float) or math.isnan(short):
+        return NONE
+    return f"{100 * short / known:.2f}%"
+
+
+def _count(summary: Mapping[str, Any], name: str) -> str:
+    count = summary[name] * summary["episodes"]
+    return NONE if math.isnan(count) else f"{round(count)} of {summary['episodes']}"
+
+
+def _times(summary: Mapping[str, Any]) -> str:
+    return f"{summary['total_steps'] / summary['bound_steps']:.2f}" if summary["bound_steps"] else NONE
+
+
+def as_rich(header: Row, rows: Iterable[Row]) -> Table:
+    """Returns a table for the terminal; the first column is text, the others numbers."""
+    table = Table()
+    for place, name in enumerate(header):
+        table.add_column(name, justify="right" if place else "left")
+    for row in rows:
+        table.add_row(*row)
+    return table
+
+
+def as_markdown(header: Row, rows: Iterable[Row]) -> str:
+    """Returns a table as Markdown."""
+    rule = ["---", *["---:"] * (len(header) - 1)]
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in (header, rule, *rows)) + "\n"

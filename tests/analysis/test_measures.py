@@ -1,0 +1,122 @@
+"""Layers, nearest distances and the margin of visibility: hand-made cases, and the oracle of shadows as polygons."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from murmurate.analysis import convex_layers, nearest_distances, visibility_margin
+from murmurate.errors import InputError
+from murmurate.geometry import visible
+from oracles.configurations import disjoint
+from oracles.visibility import shadow_clearance
+
+CENTRE = np.zeros((1, 2))
+
+
+def ring(robots, radius=1.0, begin=0.0):
+    angle = begin + 2 * np.pi * np.arange(robots) / robots
+    return radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+
+
+SQUARE = 2 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+ON_EDGES = np.array([[0.0, -2.0], [2.0, 0.7]])
+
+LAYERS = {
+    "one robot": (CENTRE, (1,)),
+    "two": (ring(2), (2,)),
+    "triangle": (ring(3), (3,)),
+    "line": (np.arange(5)[:, None] * [[0.3, 0.7]], (5,)),
+    "ring around one": (np.vstack([ring(9), CENTRE]), (9, 1)),
+    "three rings": (np.vstack([ring(5, 3.0), ring(4, 1.0), ring(3, 0.2)]), (5, 4, 3)),
+    "on the edges": (np.vstack([SQUARE, ON_EDGES]), (6,)),
+    "just inside": (np.vstack([SQUARE, 0.999 * ON_EDGES]), (4, 2)),
+    "line inside": (np.vstack([SQUARE, [[-0.5, 0.0], [0.0, 0.0], [0.5, 0.0]]]), (4, 3)),
+    "all at one place": (np.ones((4, 2)), (4,)),
+    "two at one corner": (np.vstack([SQUARE, SQUARE[:1], CENTRE]), (5, 1)),
+    "two inside at one place": (np.vstack([SQUARE, CENTRE, CENTRE]), (4, 2)),
+}
+
+
+@pytest.mark.parametrize(("points", "layers"), LAYERS.values(), ids=LAYERS)
+@pytest.mark.parametrize("angle", [0.0, 0.4, 2.0])
+def test_layers(points, layers, angle):
+    turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
+    assert convex_layers(points) == layers
+    assert convex_layers(7 * points @ turn.T + 5) == layers
+    assert convex_layers((7 * points @ turn.T).astype(np.float32)) == layers
+
+
+@given(st.integers(3, 12), st.integers(0, 1000))
+def test_the_hull_is_qhulls(robots, seed):
+    from scipy.spatial import ConvexHull
+
+    left, layers = np.random.default_rng(seed).normal(size=(robots, 2)), []
+    found = convex_layers(left)
+    while len(left) > 2:
+        vertices = ConvexHull(left).vertices
+        layers.append(len(vertices))
+        left = np.delete(left, vertices, axis=0)
+    assert found == tuple(layers + [len(left)] * bool(len(left)))
+
+
+def test_nearest_distances():
+    points = np.array([[0.0, 0.0], [3.0, 4.0], [3.0, 6.0]])
+    assert nearest_distances(points) == pytest.approx([5.0, 2.0, 2.0])
+    assert nearest_distances(np.ones((2, 2))) == pytest.approx([0.0, 0.0])
+    assert nearest_distances(CENTRE) == [np.inf]
+
+
+@pytest.mark.parametrize("robots", range(3, 13))
+def test_the_margin_is_the_oracles(robots):
+    rng = np.random.default_rng(robots)
+    for radius, side in ((1.0, math.sqrt(2 * math.pi * robots)), (0.4, 70.0)):
+        for points in disjoint(rng, 60, robots, radius, side).astype(float):
+            margin = visibility_margin(points, radius)
+            assert margin == pytest.approx(shadow_clearance(points, radius).min() / radius, abs=1e-8)
+            assert abs(margin) < 1e-6 or (margin > 0) == visible(points, radius, 1e3)[~np.eye(robots, dtype=bool)].all()
+
+
+@pytest.mark.parametrize("height", [0.0, 0.5, 1.0, 1.5, 2.0, 2.5])
+def test_margins_by_hand(height):
+    """Two robots 8 R apart see each other past one that stands half-way, at some height above their line."""
+    past = visibility_margin(np.array([[0.0, 0.0], [8.0, 0.0], [4.0, height]]), 1.0)
+    far = math.hypot(4, height)
+    tangent = math.atan2(height, 4) - math.asin(1 / far)
+    # Below the tangent the other one is by 8 sin(tangent), less its radius; its centre may be in the shadow.
+    assert past == pytest.approx(max(8 * math.sin(tangent), 0) - 1)
+
+
+def test_margins_of_rings():
+    """In a ring all robots but the neighbours are seen past a neighbour; in a line, through the next."""
+    margins = [visibility_margin(ring(10, radius), 1.0) for radius in (5.0, 8.0, 12.0, 20.0)]
+    assert margins == sorted(margins)
+    assert margins[0] < 0 < margins[-1]
+    assert visibility_margin(np.arange(3)[:, None] * [[4.0, 0.0]], 1.0) == -1
+
+
+def test_margins_that_need_no_third_robot_or_no_distance():
+    assert visibility_margin(CENTRE, 1.0) == math.inf
+    assert visibility_margin(ring(2), 0.1) == math.inf
+    assert visibility_margin(np.zeros((3, 2)), 1.0) == math.inf
+    assert visibility_margin(0.5 * ring(3), 1.0) == -1
+    assert visibility_margin(ring(5, 9.0), 1.0) == pytest.approx(visibility_margin(ring(5, 0.9), 0.1))
+
+
+@pytest.mark.parametrize(
+    "bad", [np.zeros(4), np.zeros((0, 2)), np.full((2, 2), np.nan), [[1.0], [1.0, 2.0]], [["a", 1]]]
+)
+def test_no_such_configuration(bad):
+    for measure in (convex_layers, nearest_distances, lambda x: visibility_margin(x, 1.0)):
+        with pytest.raises(InputError, match=r"^positions = "):
+            measure(bad)
+
+
+@pytest.mark.parametrize("bad", [0, -1.0, math.nan, None])
+def test_no_such_radius(bad):
+    with pytest.raises(InputError, match=r"^radius = "):
+        visibility_margin(ring(3), bad)

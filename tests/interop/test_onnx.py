@@ -1,0 +1,189 @@
+"""ONNX models beside what they were made of, and beside the cascade in its world."""
+
+from __future__ import annotations
+
+import importlib.util
+import warnings
+from dataclasses import replace
+from pathlib import Path
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from murmurate.discovery import Discovery
+from murmurate.errors import InputError
+from murmurate.geometry import visible
+from murmurate.runs import presets
+from murmurate.runs.run import Run
+
+with warnings.catch_warnings():
+    warnings.simplefilter("ignore")  # of what the converter imports
+    from murmurate.interop import onnx
+    from murmurate.interop.onnx import programs
+
+ROBOTS = 5
+STATES = 1000
+REST = {"max_steps": 15, "window": 3, "switch_tolerance": 0.004, "tolerance": 0.003}
+"""So that some policies come to rest and others are cut off."""
+
+pytestmark = pytest.mark.filterwarnings("ignore:::(jax2onnx|onnx|onnx_ir|flax|orbax|google).*")
+
+
+def untrained(kind, policies=2, objective="C2", seed=0, factor=1, walls=False):
+    """A run whose policies nobody trained, but which do move, faster by a factor."""
+    world = {"robots": ROBOTS, "half_width": 30.0, "half_height": 25.0, "scan_radius": 100.0}
+    hidden = {"policy": {"kind": kind, "hidden": [12, 8]}, "rest": REST, "seed": seed}
+    eyes = {"sensing": {"kind": "visible", "rotation": True, "walls": walls}} if kind == "local" else {}
+    config = presets.resolve("F", {"objective": objective, "world": world, "start": {"kind": "random"}}, hidden, eyes)
+    discovery = Discovery(config)
+    chosen = [discovery.networks(index)[0] for index in range(policies)]
+    return Run(Path("untrained"), config, discovery.cascade(tuple(_louder(policy, factor) for policy in chosen)), {})
+
+
+def _louder(policy, factor):
+    names = [name for name in ("head", "to_point") if hasattr(policy, name)]
+    weights = [factor * getattr(policy, name).weight for name in names]
+    return eqx.tree_at(lambda p: [getattr(p, name).weight for name in names], policy, weights)
+
+
+def configurations(robots, count, seed=0):
+    return np.random.default_rng(seed).uniform(-12, 12, (count, robots, 2)).astype(np.float32)
+
+
+@pytest.fixture(scope="module")
+def equivariant():
+    run = untrained("equivariant")
+    return run, onnx.export(run)
+
+
+@pytest.fixture(scope="module", params=["C1", "C2"])
+def one_policy(request):
+    run = untrained("equivariant", objective=request.param, factor=10)
+    return run.cascade.policies[1], onnx.export(run, 1)
+
+
+@pytest.mark.parametrize("robots", [2, 3, ROBOTS, 11])
+def test_one_policy_serves_any_swarm_and_is_ours_to_1e_5(one_policy, robots):
+    policy, model = one_policy
+    positions = configurations(robots, STATES)
+    (theirs,) = model.session().run(None, {"positions": positions})
+    ours = jnp.moveaxis(policy(jnp.moveaxis(jnp.asarray(positions), 0, -1)), -1, 0)
+    assert np.abs(ours).max() > 0.1
+    np.testing.assert_allclose(theirs, ours, atol=1e-5)
+
+
+def loop(session, starts, most=60):
+    """Runs a cascade's model as its receiver would; returns positions, lengths and who was in charge."""
+    positions, charges = [np.asarray(starts, np.float32)], []
+    memory = np.zeros((len(starts), session.get_inputs()[1].shape[1]), np.float32)
+    for _ in range(most):
+        velocities, memory = session.run(None, {"positions": positions[-1], "memory": memory})
+        charges.append(memory[:, 0].astype(int))
+        positions.append(positions[-1] + velocities)
+    return np.stack(positions, axis=1), np.stack(charges, axis=1)
+
+
+@pytest.mark.parametrize("robots", [ROBOTS, ROBOTS + 2])
+def test_a_cascade_changes_over_and_rests_as_ours_does_in_swarms_of_any_size(equivariant, robots):
+    run, model = equivariant
+    run = run.of_size(robots)
+    starts = run.starts(24, 3)
+    ours = run.rollout(starts)
+    positions, charges = loop(model.session(), starts)
+    # A model knows nothing of collisions: it is compared until then.
+    for episode, length in enumerate(ours.lengths):
+        expected = ours.positions[episode, : length + 1]
+        np.testing.assert_allclose(positions[episode, : length + 1], expected, atol=1e-3)
+    whole = ~ours.terminated
+    np.testing.assert_array_equal((charges == 0).sum(axis=1)[whole], ours.switch[whole, 0])
+    np.testing.assert_array_equal((charges < 2).sum(axis=1)[whole], ours.lengths[whole])
+    assert len(set(ours.switch[whole, 0])) > 2
+    assert ours.at_rest[whole].any()
+
+
+def test_a_central_cascade_has_a_dynamic_batch_and_its_own_number_of_robots():
+    run = untrained("central", policies=1, factor=10)
+    model = onnx.export(run)
+    assert model.difference(run, 200) < 1e-5
+    session = model.session()
+    assert session.get_inputs()[0].shape[1:] == [ROBOTS, 2]
+    with pytest.raises(Exception, match="invalid dimensions"):
+        loop(session, configurations(ROBOTS + 1, 2))
+    for batch in (1, 7):
+        assert loop(session, configurations(ROBOTS, batch), 2)[0].shape == (batch, 3, ROBOTS, 2)
+
+
+@pytest.mark.parametrize(("objective", "walls"), [("C1", False), ("C2", False), ("C2", True)])
+def test_a_robot_with_its_own_eyes_moves_by_its_model_as_in_the_world(objective, walls):
+    run = untrained("local", policies=1, objective=objective, factor=10, walls=walls)
+    model = onnx.export(run)
+    assert model.difference(run, 200) < onnx.TOLERANCE
+    starts = run.starts(40, 1)
+    state = run.world.state(jnp.moveaxis(jnp.asarray(starts), 0, -1), 0)
+    expected = np.moveaxis(np.asarray(run.cascade.policies[0](run.world.observe(state))), -1, 0)
+    seen = np.moveaxis(visible(np.moveaxis(starts.astype(float), 0, -1), 1.0, 100.0), -1, 0)
+    assert not seen[:, ~np.eye(ROBOTS, dtype=bool)].all()
+    cos, sin = (np.asarray(a).T for a in (state.frames.cos, state.frames.sin))
+    for robot in range(ROBOTS):
+        offsets = starts - starts[:, robot, None]
+        turn = np.stack([cos[:, robot], sin[:, robot], -sin[:, robot], cos[:, robot]], axis=-1).reshape(-1, 2, 2)
+        into = lambda vectors, turn=turn: np.einsum("bij,b...j->b...i", turn, vectors)  # noqa: E731
+        views = np.where(seen[:, robot, :, None], into(offsets), 0.0)
+        inputs = {"others": views}
+        if objective == "C1":
+            inputs["point"] = into(-starts[:, robot])
+        if walls:
+            x, y = starts[:, robot].T
+            feet = [(30 - x, 0 * x), (0 * x, 25 - y), (-30 - x, 0 * x), (0 * x, -25 - y)]
+            inputs["walls"] = into(np.moveaxis(np.array(feet), -1, 0))
+        (theirs,) = model.session().run(None, {name: a.astype(np.float32) for name, a in inputs.items()})
+        np.testing.assert_allclose(theirs, expected[:, robot], atol=1e-5)
+
+
+def test_a_view_may_leave_out_or_fill_up_whom_it_does_not_hold():
+    model = onnx.export(untrained("local", policies=1))
+    alone = np.array([[[4.0, 3.0], [-6.0, 1.0]]], np.float32)
+    filled = np.concatenate([np.zeros((1, 3, 2), np.float32), alone], axis=1)
+    (few,), (many,) = (model.session().run(None, {"others": view}) for view in (alone, filled))
+    np.testing.assert_allclose(few, many, atol=1e-6)
+
+
+def test_the_check_finds_a_model_of_something_else(equivariant):
+    run, model = equivariant
+    assert model.difference(run, 250) < onnx.TOLERANCE
+    other = untrained("equivariant", seed=1)
+    assert replace(model, program=programs.cascade(other)).difference(run, 250) > 100 * onnx.TOLERANCE
+
+
+def test_a_model_says_what_it_is(equivariant):
+    run, model = equivariant
+    about = model.session().get_modelmeta().custom_metadata_map
+    assert about["experiment"] == run.experiment.name
+    assert (about["robots"], about["radius"], about["max_speed"], about["policies"]) == ("5", "1", "1", "0, 1")
+    assert "zeros at first" in about["memory"]
+
+
+@pytest.mark.parametrize("index", [-1, 2])
+def test_a_policy_that_is_not_there_is_refused(equivariant, index):
+    with pytest.raises(InputError, match=rf"--policy = {index}: must be 0 to 1"):
+        onnx.export(equivariant[0], index)
+
+
+def test_several_local_policies_do_not_make_a_cascade_of_robots_on_their_own():
+    run = untrained("local", policies=2)
+    with pytest.raises(InputError, match="no robot alone can tell"):
+        onnx.export(run)
+    assert onnx.export(run, 1).difference(run, 100) < 1e-5
+
+
+def test_the_example_runs_a_cascade_to_rest(equivariant, tmp_path, capsys):
+    path = Path(__file__).parents[2] / "examples" / "onnx_robots.py"
+    spec = importlib.util.spec_from_file_location("example_onnx_robots", path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    (tmp_path / "swarm.onnx").write_bytes(equivariant[1].data)
+    assert module.main(str(tmp_path / "swarm.onnx"), 7).shape == (7, 2)
+    assert "7 robots at rest" in capsys.readouterr().out
+    assert "jax" not in path.read_text().split('"""')[2]

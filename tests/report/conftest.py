@@ -1,0 +1,79 @@
+from __future__ import annotations
+
+import functools
+
+import jax
+import pytest
+from matplotlib.figure import Figure
+
+from murmurate import plots
+from murmurate.report import folder
+from murmurate.report import runs as work
+from murmurate.report.material import Command, Material
+from murmurate.report.plan import Plan, PlannedRun
+from murmurate.report.report import make_report
+from murmurate.runs.paper import EXPERIMENTS
+from tiny import tiny
+
+
+@pytest.fixture(scope="session", autouse=True)
+def usual_broadcasting():
+    with jax.numpy_rank_promotion("allow"):
+        yield
+
+
+def make_tiny_plan(quick=False):
+    """The tiny experiment in the place of all others: two runs that differ in the seed."""
+    ours = {
+        learner: PlannedRun(f"tiny-{learner}-seed{seed}", learner, tiny(seed=seed))
+        for seed, learner in enumerate(("central", "equivariant"))
+    }
+    sizes = {start: dict.fromkeys((3, 4, 5), ours["equivariant"]) for start in ("distributed", "scattered")}
+    return Plan(seed=0, quick=quick, experiments=dict.fromkeys(EXPERIMENTS, ours), sizes=sizes)
+
+
+@pytest.fixture(scope="session")
+def plan():
+    return make_tiny_plan()
+
+
+@pytest.fixture(scope="session")
+def runs(plan, tmp_path_factory):
+    """The folder of the plan's finished runs; not to be changed."""
+    runs = tmp_path_factory.mktemp("runs")
+    for planned in plan.runs:
+        work.train(planned, runs)
+    return runs
+
+
+@pytest.fixture(scope="session")
+def results(plan, runs):
+    return [work.read(planned, runs / planned.name) for planned in plan.runs]
+
+
+COMMAND = Command("murmurate reproduce --quick", "murmurate reproduce", seconds=12.3, reused=1)
+
+
+def blank(patch):
+    """Draws nothing, fast."""
+    for name in ("robot", "visibility", "training", "reward", "formation", "patterns", "growth"):
+        patch.setattr(view, f"{name}_figure", lambda *_: Figure(figsize=(0.2, 0.1)))
+
+
+@pytest.fixture(scope="session")
+def written(results, tmp_path_factory):
+    """Folders of a full and of a quick report, the quick one with real, if small, pictures; not to be changed."""
+    folders = {}
+    for quick in (True, False):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(view, "save", functools.partial(plots.save, dpi=25))
+            if not quick:
+                blank(patch)
+            folders[quick] = tmp_path_factory.mktemp("report")
+            folder.write(make_report(Material(make_tiny_plan(quick), results, COMMAND)), folders[quick])
+    return folders
+
+
+@pytest.fixture
+def blank_pictures(monkeypatch):
+    blank(monkeypatch)

@@ -1,0 +1,200 @@
+"""The whole report: what it must hold, and the folder that holds it."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+
+import pytest
+from reading import Page, markdown_words
+
+from murmurate.errors import RunError
+from murmurate.report import folder
+from murmurate.report.document import Note, flatten
+from murmurate.report.material import Command, Material
+from murmurate.report.measures import measure
+from murmurate.report.report import make_report
+from murmurate.runs.paper import EXPERIMENTS
+from murmurate.runs.train import NOTHING_VALID
+
+SECTIONS = [
+    "The six experiments",
+    "Robots and visibility",
+    "Steps to form a pattern",
+    "Training",
+    "The reward of one episode",
+    "Patterns",
+    "Experiment C",
+    "Experiment F",
+    "Experiment B",
+    "Experiment E",
+    "All six experiments",
+    "Swarm size",
+    "What failed",
+    "What differs from the paper",
+    "What was run",
+]
+REMINDER = "Quick report, smaller budgets: these numbers are not the real ones."
+
+
+def texts(folder):
+    return (folder / "report.html").read_text(), (folder / "report.md").read_text()
+
+
+def notes(material):
+    return [block.text for block in flatten(make_report(material).document) if isinstance(block, Note)]
+
+
+@pytest.fixture(params=[False, True], ids=["full", "quick"])
+def report(written, request):
+    return written[request.param]
+
+
+def test_all_sections_are_there(report):
+    html, markdown = texts(report)
+    page = Page(html)
+    assert page.said[("h2", None)] + page.said[("h3", None)] == [
+        title for level in (2, 3) for title in re.findall(rf"^{'#' * level} (.*)$", markdown, re.MULTILINE)
+    ]
+    assert re.findall(r"^###? (.*)$", markdown, re.MULTILINE) == SECTIONS
+
+
+def test_both_files_say_the_same(report):
+    html, markdown = texts(report)
+    assert Page(html).words == markdown_words(markdown)
+
+
+def test_the_html_needs_nothing_else(report):
+    html, _ = texts(report)
+    page = Page(html)
+    assert not re.search(r"https?:|@import|url\(|<script|<link", html)
+    assert all(source.startswith("data:image/png;base64,") for source in page.of("img", "src"))
+    assert all(page.of("img", "alt"))
+
+
+def test_every_picture_lies_beside_the_markdown(report):
+    html, markdown = texts(report)
+    named = re.findall(r"\]\((figures/.*?\.png)\)", markdown)
+    learners, both = ("central", "equivariant"), []
+    for kind in ("training-C", "training-E", "reward-C", *(f"formation-{name}" for name in "CFBE"), "patterns"):
+        both += [f"figures/{kind}-{learner}.png" for learner in learners]
+    assert named == ["figures/robot-model.png", "figures/visibility-model.png", *both, "figures/swarm-size.png"]
+    assert {path.name for path in (report / "figures").iterdir()} == {name.split("/")[1] for name in named}
+    assert len(Page(html).of("img", "src")) == len(named)
+
+
+def test_the_papers_tables_are_there(report):
+    _, markdown = texts(report)
+    for row in EXPERIMENTS.values():
+        assert f"| {row.name} | {row.robots} | paper | {row.base_steps:.2f} | {row.auxiliary_steps:.2f} |" in markdown
+        assert f"| {row.name} | {row.robots} | central |" in markdown
+        assert f"| {row.name} | {row.robots} | equivariant |" in markdown
+    assert "| C | 10 | origin | distributed | 45 | 1 | 20 | 5 | 1 |" in markdown
+    assert "521.71 base steps and 223.56 auxiliary steps make 745.27, while its total is printed as 1168.83" in markdown
+
+
+def test_a_quick_report_says_so_on_every_page(written):
+    html, markdown = texts(written[True])
+    page = Page(html)
+    assert page.said[("div", "running")] == [REMINDER]
+    assert "numbers are not the real ones" in page.said[("p", "banner")][0]
+    assert "table-header-group" in html
+    shown = [title for title in SECTIONS if title not in ("Patterns", "What differs from the paper")]
+    for title in shown:
+        assert re.search(rf"^###? {title}\n\n> {re.escape(REMINDER)}$", markdown, re.MULTILINE)
+    assert "`murmurate reproduce` measures those" in markdown
+
+
+def test_a_full_report_does_not(written):
+    for text in texts(written[False]):
+        assert "numbers are not the real ones" not in text
+
+
+def test_the_numbers_are_those_of_the_runs(report, results):
+    numbers = json.loads((report / "report.json").read_text())
+    assert (numbers["format"], numbers["command"]) == (1, "murmurate reproduce --quick")
+    ours = measure(results[0])
+    row = numbers["experiments"]["E"]
+    assert (row["paper"]["total_steps"], row["paper"]["summed_steps"]) == (1168.83, 745.27)
+    assert (row["central"]["total_steps"], row["central"]["valid"]) == (ours.total_steps, ours.valid)
+    assert list(numbers["sizes"]["scattered"]) == ["3", "4", "5"]
+    assert numbers["lines"]["scattered"]["steps"]["slope"] == pytest.approx(0, abs=1e-9)
+    assert numbers["train_seconds"] == pytest.approx(sum(r.manifest["train_seconds"] for r in results), abs=0.1)
+
+
+def test_failures_are_told_run_by_run(report, results):
+    _, markdown = texts(report)
+    for result in results:
+        run = measure(result)
+        cells = f"| `{run.run}` | {run.valid} of 200 | {run.lacking['collision_free']} |"
+        assert (cells in markdown) == (run.valid < 200)
+
+
+@pytest.fixture
+def material(plan, results, blank_pictures):
+    return Material(plan, results, Command("murmurate reproduce", "murmurate reproduce", 1.0, 0))
+
+
+def test_a_run_without_a_valid_pattern_is_a_result(material):
+    first, second = material.results
+    summary = {**first.summary, "valid": 0.0, "failures": list(range(200))}
+    failed = replace(first, summary=summary, manifest={**first.manifest, "outcome": NOTHING_VALID})
+    said = notes(replace(material, results=(failed, second)))
+    assert said.count(f"No valid pattern was discovered by `{first.planned.name}`.") == 2
+    report = make_report(replace(material, results=(failed, second)))
+    assert report.numbers["experiments"]["A"]["central"]["outcome"] == NOTHING_VALID
+
+
+def test_when_nothing_failed_it_says_so(material):
+    every = [replace(result, summary={**result.summary, "valid": 1.0}) for result in material.results]
+    text = str(make_report(replace(material, results=every)).document)
+    assert "Every episode of all 2 runs ended in a valid pattern." in text
+
+
+def test_runs_of_several_machines_are_said_to_be(material):
+    assert not any("several machines" in text for text in notes(material))
+    first, second = material.results
+    moved = replace(second, manifest={**second.manifest, "device": "cuda"})
+    assert any("several machines" in text for text in notes(replace(material, results=(first, moved))))
+
+
+def test_a_record_that_cannot_be_drawn_leaves_its_reason(material, tmp_path):
+    broken = [replace(result, folder=tmp_path / "gone") for result in material.results]
+    said = [text for text in notes(replace(material, results=broken)) if "There is no picture" in text]
+    assert len(said) == 16
+    assert all("no such folder" in text for text in said)
+
+
+def test_a_report_is_replaced_and_nothing_else_is(material, tmp_path):
+    out = tmp_path / "report"
+    folder.check(out)
+    folder.write(make_report(material), out)
+    (out / "report.md").write_text("old")
+    folder.check(out)
+    folder.write(make_report(material), out)
+    assert (out / "report.md").read_text().startswith("# ")
+
+
+def test_an_interrupted_report_can_be_written_anew(material, tmp_path, monkeypatch):
+    report = make_report(material)
+    monkeypatch.setattr(folder, "as_markdown", lambda document: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        folder.write(report, tmp_path)
+    folder.check(tmp_path)
+
+
+@pytest.mark.parametrize("text", [None, "{}", "[]", "no json", '{"format": 2, "command": "", "quick": false}'])
+def test_a_folder_of_something_else_is_refused(tmp_path, text):
+    (tmp_path / "notes.txt").write_text("mine")
+    if text is not None:
+        (tmp_path / "report.json").write_text(text)
+    with pytest.raises(RunError, match="holds other files: choose another --out"):
+        folder.check(tmp_path)
+    assert (tmp_path / "notes.txt").read_text() == "mine"
+
+
+def test_a_file_is_no_folder(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(RunError, match=r"cannot write to .*file: Not a directory"):
+        folder.check(tmp_path / "file")

@@ -1,0 +1,166 @@
+"""Methods side by side: the same starts for all, every cell kept as soon as it is done, failures counted by kind."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from murmurate.errors import InputError, RunError
+from murmurate.runs import comparison, comparison_page, train
+from murmurate.runs.comparison import Cell, Comparison, cells, compare
+from tiny import tiny
+
+LOCAL = {"policy": {"kind": "local", "hidden": [8, 4]}, "start": {"kind": "random"}, "base": {"ppo": {"updates": 1}}}
+NAMES = ["learned", "circle", "random", "circle-central"]
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    config = tiny(**LOCAL, discovery={"min_policies": 1, "max_policies": 1})
+    made = train.discover(config, tmp_path_factory.mktemp("comparison") / "run")
+    return {"learned": {"visible": made}}
+
+
+@pytest.fixture(scope="module")
+def setting(runs):
+    base = runs["learned"]["visible"].experiment
+    return Comparison(replace(base, rest=replace(base.rest, max_steps=60, tolerance=1e-3)), episodes=20)
+
+
+@pytest.fixture(scope="module")
+def done(runs, setting, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("cells")
+    wanted = cells(NAMES, ["visible"], ["fsync"], [3, 5], known=NAMES)
+    return folder, wanted, compare(setting, wanted, runs, folder)
+
+
+def test_a_row_adds_up(done):
+    _, wanted, rows = done
+    assert [Cell(*(r[n] for n in Cell.__dataclass_fields__)) for r in rows] == wanted
+    for row in rows:
+        failures = [row[name] for name in ("collisions", "left", "hidden", "unsafe", "restless")]
+        assert max(failures) <= row["episodes"] - row["valid"] <= sum(failures)
+        low, high = row["interval"]
+        assert low - 1e-9 <= row["valid"] / row["episodes"] <= high + 1e-9
+        assert len(row["worst"]) == min(comparison.WORST, row["episodes"] - row["valid"])
+        assert all(np.shape(one["positions"]) == (row["robots"], 2) for one in row["worst"])
+        if row["valid"]:
+            assert row["steps"] == row["epochs"]
+            assert row["efficiency"] > 0
+        else:
+            assert row["steps"] is None
+
+
+def test_a_good_method_is_told_from_a_bad_one(done):
+    _, _, rows = done
+    valid = {(row["method"], row["robots"]): row["valid"] for row in rows}
+    assert valid["circle-central", 5] >= 18
+    assert valid["random", 5] <= 2
+
+
+def test_every_method_begins_at_the_same_starts(setting, monkeypatch):
+    seen = []
+    monkeypatch.setattr(
+        comparison, "_judged", lambda problem, ran: seen.append(ran.positions[:, 0]) or {"a": np.ones(1)}
+    )
+    monkeypatch.setattr(comparison, "ROOM", 8 * 3**2)
+    for method in ("random", "centroid"):
+        cell = Cell(method, "visible", "fsync", 3)
+        problem = setting.problem(cell)
+        for ran in comparison._rollouts(setting, problem, comparison._policy(setting, cell, {})):
+            comparison._judged(problem, ran)
+    batches = len(seen) // 2
+    assert batches == 3
+    for first, second in zip(seen[:batches], seen[batches:], strict=True):
+        np.testing.assert_array_equal(first, second)
+    assert sum(map(len, seen[:batches])) == setting.episodes
+    assert len(np.unique(np.concatenate(seen[:batches]), axis=0)) == setting.episodes
+
+
+def test_what_is_done_is_not_run_again_and_more_may_be_asked_for(done, setting, runs, monkeypatch):
+    folder, wanted, rows = done
+    monkeypatch.setattr(comparison, "_row", lambda *_: pytest.fail("run again"))
+    assert compare(setting, wanted, runs, folder) == json.loads(json.dumps(rows))
+    assert compare(replace(setting, episodes=10), wanted, runs, folder) == json.loads(json.dumps(rows))
+
+
+def test_more_starts_are_another_run_of_the_same_cell(runs, setting, tmp_path):
+    cell = cells(["random"], ["visible"], ["fsync"], [3], known=NAMES)
+    first = compare(replace(setting, episodes=4), cell, runs, tmp_path)
+    assert [row["episodes"] for row in first] == [4]
+    assert [row["episodes"] for row in compare(replace(setting, episodes=6), cell, runs, tmp_path)] == [6]
+    assert len(comparison.load(tmp_path)["rows"]) == 1
+
+
+def test_another_comparison_is_not_mixed_in(done, setting, runs):
+    folder, wanted, _ = done
+    with pytest.raises(RunError, match="holds another comparison: seed is 0 there, 1 here; choose another folder"):
+        compare(replace(setting, seed=1), wanted, runs, folder)
+
+
+def test_symmetric_starts_are_cells_of_their_own(setting):
+    wanted = cells(["circle"], ["visible"], ["fsync"], [3, 5], ["rings", "line"], ["circle"])
+    assert [(cell.start, cell.robots) for cell in wanted] == [("rings", 5), ("line", 3), ("line", 5)]
+    cell = wanted[1]
+    problem = setting.problem(cell)
+    ran = next(comparison._rollouts(setting, problem, comparison._policy(setting, cell, {}), cell.start))
+    first = ran.positions[:, 0].astype(float)
+    along = first[:, 2] - first[:, 0]
+    across = first[:, 1] - (first[:, 0] + first[:, 2]) / 2
+    assert np.linalg.norm(along, axis=1).min() > 0.1
+    assert np.abs(across).max() < 1e-5
+
+
+def test_a_damaged_file_is_refused(done, setting, runs, tmp_path):
+    folder, wanted, _ = done
+    data = json.loads((folder / comparison.COMPARISON).read_text())
+    for name in ("robots", "episodes"):
+        damaged = json.loads(json.dumps(data))
+        del damaged["rows"][0][name]
+        (tmp_path / comparison.COMPARISON).write_text(json.dumps(damaged))
+        with pytest.raises(RunError, match=rf"comparison.json is damaged: a row lacks '{name}'"):
+            compare(setting, wanted, runs, tmp_path)
+
+
+def test_what_made_the_cells_is_noted_once(done, setting, runs):
+    folder, wanted, _ = done
+    for command in ("first", "second", "first"):
+        compare(setting, wanted[:1], runs, folder, command=command)
+    assert comparison.load(folder)["commands"] == ["first", "second"]
+    assert [row["robots"] for row in comparison.sorted_rows(folder)] == [3] * 4 + [5] * 4
+    assert comparison.sorted_rows(folder)[0]["method"] == "learned"
+
+
+def test_a_central_mind_has_one_frame_and_others_have_their_own(setting):
+    assert not setting.problem(Cell("circle-central", "visible", "fsync", 5)).sensing.disoriented
+    sensing = setting.problem(Cell("circle", "visible", "fsync", 5)).sensing
+    assert (sensing.kind, sensing.rotation, sensing.reflection) == ("visible", True, True)
+
+
+@pytest.mark.parametrize(
+    ("field", "names"),
+    [
+        ("method", (["lerned"], ["visible"], ["fsync"])),
+        ("sensing", (["circle"], ["radar"], ["fsync"])),
+        ("scheduler", (["circle"], ["visible"], ["psync"])),
+    ],
+)
+def test_unknown_names_list_the_known_ones(field, names):
+    with pytest.raises(InputError, match=f"{field} = .*: must be one of .*,"):
+        cells(*names, [4], known=NAMES)
+
+
+def test_the_table_goes_into_a_page_once_and_is_kept(done):
+    _, _, rows = done
+    part = comparison_page.page(rows, ["murmurate compare"], ["a note"])
+    assert part.count("\n| ") == len(rows) + 2
+    page = comparison_page.put_into("# Title\n\ntext\n", part)
+    again = comparison_page.put_into(page, part.replace("a note", "another"))
+    assert page.startswith("# Title\n\ntext\n")
+    assert again.count("## Any swarm") == 1
+    assert "another" in again
+    assert comparison_page.kept(again) in again
+    assert comparison_page.kept("# Title\n") == ""

@@ -1,0 +1,65 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from murmurate.errors import InputError, RunError
+from murmurate.runs import experiment, config_io
+from murmurate.runs.experiment import ExperimentConfig
+from tiny import tiny
+
+
+def test_toml_round_trip(tmp_path):
+    wanted = tiny(seed=7, base={"weights": {"visible": 0.5}})
+    config.save(wanted, tmp_path)
+    assert config.load(tmp_path) == wanted
+    config.check_same(wanted, tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["experiment.toml"]
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "line"),
+    [
+        ("objective", "C3", "objective = 'C3': must be one of C1, C2"),
+        ("seed", -1, "seed = -1: must be an integer from 0 to 4294967295"),
+        ("seed", 2**32, "seed = 4294967296: must be an integer from 0 to 4294967295"),
+        ("name", "", "name = '': must be up to 64 letters"),
+        ("name", "../C", "name = '../C': must be up to 64 letters"),
+        ("name", ".hidden", "name = '.hidden': must be up to 64 letters"),
+    ],
+)
+def test_values_are_checked(field, value, line):
+    with pytest.raises(InputError) as caught:
+        replace(tiny(), **{field: value})
+    assert str(caught.value).startswith(line)
+
+
+def test_every_leaf_has_a_help_text():
+    assert [leaf.path for leaf in config_io.leaves(tiny()) if not leaf.help] == []
+
+
+def test_nothing_is_assumed_that_is_not_said():
+    with pytest.raises(InputError, match="given"):
+        config_io.from_dict(ExperimentConfig, {"name": "x"})
+
+
+def test_a_file_of_starts_is_relative_to_the_toml_file(tmp_path):
+    (tmp_path / "my.toml").write_text('[start]\nkind = "file"\nfile = "my.csv"\n')
+    assert config.read_toml(tmp_path / "my.toml")["start"]["file"] == str(tmp_path / "my.csv")
+    (tmp_path / "my.toml").write_text('[start]\nkind = "file"\nfile = "/my.csv"\n')
+    assert config.read_toml(tmp_path / "my.toml")["start"]["file"] == "/my.csv"
+    (tmp_path / "my.toml").write_text("start = 3\n")
+    assert config.read_toml(tmp_path / "my.toml") == {"start": 3}
+
+
+def test_a_damaged_configuration_is_one_line(tmp_path):
+    with pytest.raises(RunError, match="cannot read"):
+        config.load(tmp_path)
+    path = tmp_path / "experiment.toml"
+    for text, line in (("x = ", "valid TOML"), ("radius = 1.0", "radius = 1.0: must be a field of"), ("", "given")):
+        path.write_text(text)
+        with pytest.raises(RunError, match=line) as caught:
+            config.load(tmp_path)
+        assert str(path) in str(caught.value)
+        assert "\n" not in str(caught.value)

@@ -1,0 +1,175 @@
+from __future__ import annotations
+
+import math
+import shlex
+import subprocess
+import sys
+from dataclasses import replace
+
+import pytest
+
+from murmurate.errors import InputError
+from murmurate.runs import config_io, presets
+from murmurate.runs.experiment import ExperimentConfig
+from murmurate.runs.paper import EXPERIMENTS
+from murmurate.world import WorldConfig
+
+
+def test_table_iii():
+    settings = {name: (row.robots, row.objective, row.start) for name, row in EXPERIMENTS.items()}
+    assert settings == {
+        "A": (6, "C1", "packed"),
+        "B": (8, "C1", "scattered"),
+        "C": (10, "C1", "distributed"),
+        "D": (6, "C2", "packed"),
+        "E": (8, "C2", "scattered"),
+        "F": (10, "C2", "distributed"),
+    }
+
+
+def test_table_iv_adds_up_except_in_row_e():
+    totals = {name: (row.total_steps, row.summed_steps) for name, row in EXPERIMENTS.items()}
+    assert totals.pop("E") == (1168.83, 745.27)
+    assert all(printed == summed for printed, summed in totals.values())
+
+
+@pytest.mark.parametrize("learner", presets.TRAINING_PRESETS)
+@pytest.mark.parametrize("name", EXPERIMENTS)
+def test_presets_are_the_papers_experiments(name, learner):
+    config, row = presets.preset(name, learner), EXPERIMENTS[name]
+    world = config.world
+    assert (config.name, config.objective, config.start.kind, world.robots) == (
+        name,
+        row.objective,
+        row.start,
+        row.robots,
+    )
+    assert config.start.noise == 2
+    assert config.policy.kind == ("central" if learner == "paper" else learner)
+    assert all(type(value) is float for value in (world.half_width, world.radius, world.scan_radius, world.max_speed))
+    if row.objective == "C2":
+        assert world.scan_radius >= 2 * math.hypot(world.half_width, world.half_height)
+    assert config_io.from_dict(ExperimentConfig, config_io.to_dict(config)) == config
+    assert presets.paper_row(config) is row
+
+
+@pytest.mark.parametrize("learner", ["equivariant", "central"])
+def test_the_longest_list_of_policies_stays_within_the_budget(learner):
+    numbers = presets.TRAINING_PRESETS[learner]
+    stages = [numbers.base] + [numbers.auxiliary] * (numbers.discovery.max_policies - 1)
+    assert sum(stage.ppo.updates * stage.steps_per_update for stage in stages) <= 4_000_000
+
+
+def test_what_is_tuned_for_an_experiment_changes_nothing_else():
+    assert set(presets.EXPERIMENT_OVERRIDES) <= set(EXPERIMENTS)
+    for name, overlay in presets.EXPERIMENT_OVERRIDES.items():
+        tuned = {leaf.path: leaf.value for leaf in config_io.leaves(presets.preset(name))}
+        numbers = presets.TRAINING_PRESETS[presets.DEFAULT_LEARNER]
+        untuned = replace(
+            presets.preset(name), auxiliary=numbers.auxiliary, discovery=numbers.discovery, rest=numbers.rest
+        )
+        usual = {leaf.path: leaf.value for leaf in config_io.leaves(untuned)}
+        changed = {path: value for path, value in tuned.items() if usual[path] != value}
+        assert changed == dict(flat(overlay))
+        for learner in ("central", "paper"):
+            assert presets.preset(name, learner).auxiliary == presets.TRAINING_PRESETS[learner].auxiliary
+
+
+def flat(overlay, path=""):
+    for name, value in overlay.items():
+        if isinstance(value, dict):
+            yield from flat(value, f"{path}{name}.")
+        else:
+            yield path + name, value
+
+
+def test_the_papers_learner_goes_the_papers_way():
+    learner = presets.TRAINING_PRESETS["paper"]
+    assert learner.policy.hidden == (400, 300, 300)
+    for stage in (learner.base, learner.auxiliary):
+        assert stage.ppo.clip_end > stage.ppo.clip
+        assert stage.ppo.value_target == "rewards-to-go"
+    assert learner.auxiliary.ppo.discount < learner.base.ppo.discount
+
+
+def test_another_world_is_not_the_papers():
+    config = presets.preset("C")
+    assert presets.paper_row(replace(config, name="mine", seed=3)) is EXPERIMENTS["C"]
+    assert presets.paper_row(replace(config, world=replace(config.world, radius=0.9))) is None
+
+
+def test_later_overlays_win():
+    config = presets.resolve("C", {"seed": 1, "world": {"robots": 7}}, {"seed": 2})
+    assert (config.seed, config.world.robots, config.world.radius) == (2, 7, 1.0)
+
+
+def test_the_policy_brings_its_learner():
+    assert presets.resolve("B", {"policy": {"kind": "central"}}) == presets.preset("B", "central")
+    paper = presets.resolve("B", {"base": {"horizon": 50}}, learner="paper")
+    assert (paper.policy.hidden, paper.base.horizon) == ((400, 300, 300), 50)
+
+
+def test_sizes_that_belong_together_are_replaced_together():
+    config = presets.resolve("C", {"world": {"safe_distance": 20.0, "radius": 6.0}, "start": {"kind": "random"}})
+    assert (config.world.radius, config.world.safe_distance) == (6.0, 20.0)
+
+
+def test_a_toml_file_says_what_differs(tmp_path):
+    path = tmp_path / "seven robots.toml"
+    path.write_text('objective = "C2"\n[world]\nrobots = 7\n[policy]\nkind = "central"\n')
+    config = presets.resolve(str(path), {"seed": 4})
+    assert (config.name, config.objective, config.seed) == ("seven robots", "C2", 4)
+    assert config.world == replace(WorldConfig(), robots=7)
+    assert config.base == presets.TRAINING_PRESETS["central"].base
+    path.write_text(config_io.dump_toml(presets.preset("F")))
+    assert presets.resolve(str(path)) == presets.preset("F")
+
+
+@pytest.mark.parametrize(
+    ("data", "learner", "line"),
+    [
+        ({"world": {"radus": 1.0}}, None, "world.radus = 1.0: must be a field of [world]"),
+        ({"wrld": {}}, None, "wrld = {}: must be a field of the configuration"),
+        ({"policy": {"kind": "paper"}}, None, "policy.kind = 'paper': must be one of"),
+        ({"policy": {"kind": []}}, None, "policy.kind = []: must be one of"),
+        ({"policy": "central"}, None, "policy = 'central': must be a table"),
+        ({}, "best", "learner = 'best': must be one of equivariant, central, local, paper"),
+        ({"base": {"weights": {"visible": -1.0}}}, None, "base.weights.visible = -1.0: must be"),
+    ],
+)
+def test_what_is_unknown_is_refused(data, learner, line):
+    with pytest.raises(InputError) as caught:
+        presets.resolve("C", data, learner=learner)
+    assert str(caught.value).startswith(line)
+
+
+@pytest.mark.parametrize("word", ["G", "c", "", "experiment.toml", "."])
+def test_unknown_experiments(word):
+    with pytest.raises(InputError, match="must be one of A, B, C, D, E, F, or an existing TOML file"):
+        presets.resolve(word)
+
+
+def test_names_and_sizes_are_known_without_jax():
+    code = "import sys, murmurate.runs.paper, murmurate.runs.config_io; sys.exit('jax' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_the_command_of_an_experiment_makes_it_again():
+    for flags in (
+        {},
+        {"seed": 7, "policy": {"kind": "central"}, "base": {"ppo": {"worlds": 64}}},
+        {"policy": {"hidden": [8, 4]}, "auxiliary": {"warm_start": False}, "start": {"noise": 0.5}},
+    ):
+        config = presets.resolve("F", flags)
+        assert parsed(presets.command(config)) == config
+    assert presets.command(presets.preset("F")) == "murmurate discover F --seed 0"
+    assert presets.command(replace(presets.preset("F"), name="my own")) == "murmurate discover 'my own.toml' --seed 0"
+
+
+def parsed(command):
+    """Reads a command as `murmurate discover` does."""
+    from murmurate.cli.discover import _parser
+
+    _, _, *words = shlex.split(command)
+    options, flags = _parser("F").parse(words)
+    return presets.resolve(options.experiment, flags)

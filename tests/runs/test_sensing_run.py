@@ -1,0 +1,103 @@
+"""A discovery by robots with their own eyes: trained, kept, resumed and executed like any other."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from test_training import KEPT, StoppedError, stop_after
+
+from murmurate.errors import InputError
+from murmurate.runs import experiment, presets, storage, train
+from murmurate.world import LocalObservation
+from tiny import tiny
+
+EYES = {"kind": "visible", "rotation": True, "reflection": True, "unit": 2.0, "redrawn": True, "range_noise": 0.01}
+LOCAL = {"policy": {"kind": "local", "hidden": [8, 4]}, "sensing": EYES}
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    return train.discover(tiny(**LOCAL), tmp_path_factory.mktemp("local") / "run")
+
+
+def test_it_is_opened_with_the_eyes_it_was_trained_with(run):
+    again = train.Run.open(run.folder)
+    assert again.experiment == run.experiment
+    assert config.load(run.folder).sensing.range_noise == 0.01
+    assert isinstance(again.world, LocalObservation)
+    assert again.world.sensing == run.experiment.sensing
+    first, second = again.rollout(4, key=1), run.rollout(4, key=1)
+    np.testing.assert_array_equal(first.positions, second.positions)
+    assert first.positions.shape[2:] == (3, 2)
+    assert storage.read_json(run.folder / "evaluation.json")["collision_free"] > 0.5
+
+
+def test_resuming_ends_in_the_same_bytes(run, tmp_path):
+    folder = tmp_path / "run"
+    with pytest.raises(StoppedError):
+        train.discover(tiny(**LOCAL), folder, on_progress=stop_after(3))
+    train.discover(tiny(**LOCAL), folder, resume=True)
+    for name in KEPT:
+        assert (folder / name).read_bytes() == (run.folder / name).read_bytes(), name
+
+
+def test_runs_without_a_word_on_sensing_perceive_everything(tmp_path):
+    config.save(tiny(), tmp_path)
+    path = tmp_path / "experiment.toml"
+    before, _, after = path.read_text().partition("[sensing]")
+    path.write_text(before + after.partition("\n[")[1] + after.partition("\n[")[2])
+    assert "sensing" not in path.read_text()
+    assert config.load(tmp_path) == tiny()
+
+
+def test_a_run_has_a_scheduler_of_its_own_and_counts_epochs(tmp_path):
+    scheduler = {"kind": "async", "delay": 1, "span": 2, "rigid": False}
+    made = train.discover(tiny(**LOCAL, scheduler=scheduler), tmp_path / "run")
+    again = train.Run.open(made.folder)
+    assert again.world.env.scheduler == made.experiment.scheduler
+    assert again.cascade.rest.window == made.experiment.rest.window * 4
+    ran = again.rollout(16)
+    assert (ran.epochs > 0).all()
+    assert (ran.epochs < ran.lengths).all()
+    assert storage.read_json(made.folder / "evaluation.json")["epochs"] > 0
+
+
+def test_without_a_scheduler_an_epoch_is_a_step(run):
+    ran = run.rollout(4)
+    assert (ran.epochs == ran.lengths).all()
+
+
+@pytest.mark.parametrize("kind", ["equivariant", "central"])
+def test_every_policy_may_be_scheduled(kind, tmp_path):
+    credit = {"credit": "swarm"} if kind == "central" else {}
+    config = tiny(policy={"kind": kind, "hidden": [8, 4], **credit}, scheduler={"kind": "ssync", "adversarial": True})
+    ran = train.discover(config, tmp_path / "run").rollout(4)
+    assert (ran.epochs <= ran.lengths).all()
+
+
+@pytest.mark.parametrize(
+    ("overlay", "line"),
+    [
+        ({"sensing": {"kind": "visible"}}, "sensing.kind = 'visible': must be global: with the policy equivariant"),
+        ({"sensing": {"rotation": True}}, "sensing.rotation = True: must be False: with the policy equivariant"),
+        ({"policy": {"kind": "local"}, "sensing": {"landmark": False}}, "sensing.landmark = False: must be true with"),
+        ({"policy": {"kind": "local", "credit": "swarm"}}, "policy.credit = 'swarm': must be robots: with the policy"),
+        ({"policy": {"kind": "local"}, "sensing": {"kind": "radar"}}, "sensing.kind = 'radar': must be"),
+        ({"scheduler": {"kind": "psync"}}, "scheduler.kind = 'psync': must be one of fsync, ssync, async"),
+        ({"scheduler": {"kind": "async", "adversarial": True}}, "scheduler.adversarial = True: must be false with"),
+    ],
+)
+def test_eyes_that_do_not_serve_are_refused(overlay, line):
+    with pytest.raises(InputError) as caught:
+        presets.resolve("C", overlay)
+    assert str(caught.value).startswith(line)
+
+
+def test_an_undefined_point_needs_no_landmark():
+    assert presets.resolve("F", {"policy": {"kind": "local"}, "sensing": {"landmark": False}}).objective == "C2"
+
+
+def test_the_learner_local_is_the_equivariant_one_with_other_eyes():
+    local, usual = presets.TRAINING_PRESETS["local"], presets.TRAINING_PRESETS["equivariant"]
+    assert local.policy.kind == "local"
+    assert (local.base, local.auxiliary, local.rest) == (usual.base, usual.auxiliary, usual.rest)

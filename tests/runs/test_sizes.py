@@ -1,0 +1,131 @@
+"""One policy trained among swarms of several sizes, and executed in others."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from test_training import StoppedError, stop_after
+
+from murmurate.discovery import Discovery
+from murmurate.errors import BeyondTrainingWarning, InputError
+from murmurate.runs import presets, train
+from murmurate.world import WorldConfig, scaled_to
+from tiny import tiny
+
+ANY = {
+    "policy": {"kind": "local", "hidden": [8, 4]},
+    "start": {"kind": "random"},
+    "sizes": [3, 4, 6],
+    "discovery": {"min_policies": 1, "max_policies": 1},
+    "base": {"ppo": {"updates": 7}},
+}
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    return train.discover(tiny(**ANY), tmp_path_factory.mktemp("sizes") / "run")
+
+
+def metrics(run):
+    return [json.loads(line) for line in (run.folder / "metrics.jsonl").read_text().splitlines()]
+
+
+def test_worlds_grow_as_the_papers_do_and_then_as_rings_do():
+    half = {6: 35, 8: 40, 10: 45}
+    for robots, side in half.items():
+        made = scaled_to(WorldConfig(), robots)
+        assert (made.half_width, made.robots) == (pytest.approx(side), robots)
+        assert made.scan_radius / made.half_width == pytest.approx(20 / 45)
+        assert (made.radius, made.safe_distance, made.max_speed) == (1.0, 5.0, 1.0)
+    assert scaled_to(WorldConfig(), 20).half_width == pytest.approx(70)
+    assert scaled_to(WorldConfig(), 64).half_width == pytest.approx(0.175 * 64**2)
+    back = scaled_to(scaled_to(WorldConfig(), 64), 10)
+    assert back.half_width == pytest.approx(45)
+
+
+@pytest.mark.parametrize("robots", [1, 0, -3, 2.5, 10_001])
+def test_a_world_has_two_robots_or_more(robots):
+    with pytest.raises(InputError, match=r"robots = .*: must be an integer >= 2"):
+        scaled_to(WorldConfig(), robots)
+
+
+def test_every_size_has_its_turn_in_every_round(run):
+    rows = [row["robots"] for row in metrics(run)]
+    assert len(rows) == 7
+    assert sorted(rows[:3]) == sorted(rows[3:6]) == [3, 4, 6]
+    assert rows[6] in (3, 4, 6)
+
+
+def test_steps_are_counted_size_by_size(run):
+    rows = metrics(run)
+    # Eight worlds of three robots: as many robots in all, in whole minibatches of two.
+    worlds = {3: 8, 4: 6, 6: 4}
+    steps = np.cumsum([worlds[row["robots"]] * 4 for row in rows])
+    assert [row["environment_steps"] for row in rows] == steps.tolist()
+    assert run.manifest["environment_steps"] == steps[-1]
+
+
+def test_resuming_ends_in_the_same_bytes(run, tmp_path):
+    with pytest.raises(StoppedError):
+        train.discover(tiny(**ANY), tmp_path / "run", on_progress=stop_after(4))
+    train.discover(tiny(**ANY), tmp_path / "run", resume=True)
+    name = "policies/0-base.safetensors"
+    assert (tmp_path / "run" / name).read_bytes() == (run.folder / name).read_bytes()
+
+
+def test_a_run_is_executed_in_a_swarm_of_any_size(run):
+    with pytest.warns(BeyondTrainingWarning, match="robots = 9: trained were swarms of 3 to 6"):
+        large = run.of_size(9)
+    assert large.experiment.world == scaled_to(run.experiment.world, 9)
+    assert large.rollout(3).positions.shape[2:] == (9, 2)
+    assert run.of_size(3) is run
+    far = run.experiment.of_size(64)
+    factor = far.world.half_width / run.experiment.world.half_width
+    assert far.rest.max_steps == pytest.approx(run.experiment.rest.max_steps * factor, abs=1)
+    assert far.rest.window == pytest.approx(run.experiment.rest.window * factor, abs=1)
+    assert far.rest.tolerance == pytest.approx(run.experiment.rest.tolerance / factor)
+    # In a smaller world there is as much time as ever.
+    assert run.experiment.of_size(2).rest == run.experiment.rest
+
+
+def test_the_policy_central_is_of_one_size(tmp_path):
+    made = train.discover(tiny(), tmp_path / "run")
+    with pytest.raises(InputError, match="robots = 5: must be 3: the policy central is of one size"):
+        made.of_size(5)
+
+
+def test_whether_patterns_are_valid_is_asked_of_every_size():
+    discovery = Discovery(tiny(**ANY))
+    asked = []
+    for part in discovery._parts:
+        part.cascade = lambda policies, part=part, real=part.cascade: asked.append(part.world.robots) or real(policies)
+    discovery.validity((discovery.networks(0)[0],), discovery._draw(0, "evaluation"))
+    assert asked == [3, 4, 6]
+
+
+@pytest.mark.parametrize(
+    ("overlay", "line"),
+    [
+        ({"sizes": [3, 1]}, "robots = 1: must be an integer >= 2"),
+        ({"sizes": [3, 3]}, "sizes = (3, 3): must be different from each other"),
+        ({"policy": {"kind": "central"}}, "policy.kind = 'central': must be equivariant or local with sizes"),
+        ({"start": {"kind": "packed"}}, "start.kind = 'packed': must be random with sizes"),
+        ({"discovery": {"max_policies": 2}}, "discovery.max_policies = 2: must be 1 with sizes"),
+    ],
+)
+def test_sizes_that_one_policy_cannot_serve_are_refused(overlay, line):
+    with pytest.raises(InputError) as caught:
+        presets.resolve("F", ANY, overlay)
+    assert str(caught.value).startswith(line)
+
+
+def test_a_margin_makes_robots_larger_while_they_learn_and_nowhere_else():
+    config = tiny(**{**ANY, "sizes": [], "base": {"margin": 0.25}})
+    discovery = Discovery(config)
+    env = discovery._environment(0, discovery.begin())
+    trained, sizes = env.env.env, config.world
+    assert (float(trained.radius), float(trained.safe_distance)) == (1.25 * sizes.radius, 1.25 * sizes.safe_distance)
+    for world in (env.world, discovery.world, discovery.cascade(()).world.world):
+        assert (float(world.radius), float(world.safe_distance)) == (sizes.radius, sizes.safe_distance)
