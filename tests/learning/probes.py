@@ -163,4 +163,4 @@ def begin(env, value, seed=0, worlds=CONFIG["worlds"], policy=None):
 def train(state, env, count, /, **numbers):
     """Runs `count` updates with `CONFIG`, changed by `numbers`."""
     config = PPOConfig(**{**CONFIG, **numbers})
-    return train_chunk(state, env, Hyperparameters.create(config), Shape.create(config), count)
+    return train_chunk(state, env, Hyperparameters.from_config(config), Shape.from_config(config), count)

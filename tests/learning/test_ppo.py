@@ -209,4 +209,4 @@ def test_no_such_learner(fields):
 
 def test_hyperparameters_are_arrays():
     """As plain numbers they would be compiled in."""
-    assert all(isinstance(x, jax.Array) for x in jax.tree.leaves(Hyperparameters.create(PPOConfig())))
+    assert all(isinstance(x, jax.Array) for x in jax.tree.leaves(Hyperparameters.from_config(PPOConfig())))

@@ -23,8 +23,8 @@ from murmurate.learning import (
     Shape,
     TrainState,
     check_divides,
-    hosts,
     init,
+    sharding,
     train_together,
 )
 from murmurate.policies import Sizes, make_networks
@@ -177,7 +177,7 @@ class Discovery:
         updates = min(self.problem.discovery.chunk, ppo.updates - int(train.update)) if part is self else 1
         train = eqx.tree_at(lambda t: t.env_state, train, train.env_state[place])
         env = part._environment(index, self._sources(snapshot)[place])
-        return Chunk(train, env, Hyperparameters.create(ppo), Shape.create(ppo), updates)
+        return Chunk(train, env, Hyperparameters.from_config(ppo), Shape.from_config(ppo), updates)
 
     def _after(
         self, snapshot: Snapshot, before: TrainState, train: TrainState, metrics: dict[str, Any]
@@ -214,7 +214,7 @@ class Discovery:
         # Every policy's sigma* comes from running the whole list so far from where the base policy was trained.
         source = self._training_world(0, self.begin()).start
         ran = self.cascade(policies).rollout(draw_starts(source, self._draw(index, "sigma"), config.sigma))
-        final, terminated = hosts.agreed((ran.final, ran.terminated))
+        final, terminated = sharding.broadcast((ran.final, ran.terminated))
         alive = final[~terminated]
         valid = self.validity(policies, self._draw(index, "evaluation"))
         complete = len(policies) >= config.min_policies and valid >= config.required_valid
@@ -231,7 +231,7 @@ class Discovery:
             ).valid
             for part in self._parts
         ]
-        return float(hosts.agreed(np.concatenate(valid)).mean())
+        return float(sharding.broadcast(np.concatenate(valid)).mean())
 
     def _draw(self, index: int, purpose: str) -> PRNGKeyArray:
         purposes = ("networks", "training", "sigma", "evaluation", "worlds", "initial")
