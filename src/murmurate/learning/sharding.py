@@ -21,6 +21,7 @@ from murmurate.errors import InputError, RunError, check_number
 
 __all__ = [
     "broadcast",
+    "broadcast_bytes",
     "check_address",
     "check_agreement",
     "check_divides",
@@ -85,7 +86,7 @@ def initialize(coordinator: str | None = None, hosts: int | None = None, host: i
     jax.config.update("jax_enable_preemption_service", False)
     try:
         # Short timeouts: after a failure the other processes end within seconds, not after JAX's five minutes.
-        jax.distributed.initialize(**arguments, heartbeat_timeout_seconds=10, shutdown_timeout_seconds=30)
+        jax.distributed.initialize(**arguments, heartbeat_timeout_seconds=10, shutdown_timeout_seconds=60)
     except ValueError as error:
         raise InputError("--hosts", "auto", f"used on a cluster that JAX knows, such as Slurm: {error}") from None
     except RuntimeError as error:
@@ -104,6 +105,15 @@ def broadcast(tree: Any) -> Any:
     return jax.tree.map(np.asarray, multihost_utils.broadcast_one_to_all(tree))
 
 
+def broadcast_bytes(data: bytes) -> bytes:
+    """Returns the bytes of process 0 on every process."""
+    if jax.process_count() == 1:
+        return data
+    # All processes need arrays of the same shape, so the length travels first.
+    size = int(broadcast(np.int32(len(data))))
+    return broadcast(np.frombuffer(data.ljust(size, b"\0")[:size], np.uint8)).tobytes() if size else b""
+
+
 def run_on_first(action: Callable[[], Result]) -> Result | None:
     """Runs an action on process 0 only, while the others wait.
 
@@ -111,8 +121,7 @@ def run_on_first(action: Callable[[], Result]) -> Result | None:
         The action's result on process 0, None on the others.
 
     Raises:
-        InputError: The action raised it, on process 0.
-        RunError: The action raised it, or process 0 stopped with either error; then every process stops.
+        RunError: The action failed on process 0, which itself raises the original exception.
     """
     if jax.process_count() == 1:
         return action()
@@ -120,13 +129,14 @@ def run_on_first(action: Callable[[], Result]) -> Result | None:
     if is_first():
         try:
             result = action()
-        except (InputError, RunError) as error:
+        except Exception as error:
             failure = error
-    message = _broadcast_bytes(str(failure or "").encode())
+    # The others would wait forever for a process that stopped alone.
+    message = broadcast_bytes(b"" if failure is None else (str(failure) or repr(failure)).encode())
     if failure is not None:
         raise failure
     if message:
-        raise RunError(message.decode())
+        raise RunError(f"host 0 failed: {message.decode()}")
     return result
 
 
@@ -144,12 +154,6 @@ def check_agreement(what: str, data: bytes) -> None:
         sums = multihost_utils.process_allgather(np.uint32(zlib.crc32(data)))
         if np.any(sums != sums[0]):
             raise RunError(f"the hosts do not agree on {what}")
-
-
-def _broadcast_bytes(data: bytes) -> bytes:
-    # All processes need the same shape, so the length travels first.
-    size = int(broadcast(np.int32(len(data))))
-    return broadcast(np.frombuffer(data.ljust(size, b"\0")[:size], np.uint8)).tobytes() if size else b""
 
 
 # Devices.

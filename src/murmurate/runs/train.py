@@ -13,7 +13,7 @@ from typing import Any
 
 import jax
 
-from murmurate import __version__
+from murmurate import __version__, prng
 from murmurate.discovery import Discovery, advance_together, policy_name
 from murmurate.errors import RunError
 from murmurate.learning import sharding
@@ -59,6 +59,7 @@ def discover(
     return discover_together({Path(folder): config}, resume, on_progress, on_metrics)[0]
 
 
+@prng.reproducible()
 def discover_together(
     configs: Mapping[Path, ExperimentConfig],
     resume: bool = False,
