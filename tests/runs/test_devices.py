@@ -13,12 +13,12 @@ import time
 import numpy as np
 import pytest
 from safetensors.numpy import load_file
-from tiny import tiny, write_toml
 
 from murmurate.cli.main import main
 from murmurate.errors import InputError, RunError
 from murmurate.learning import sharding
 from murmurate.runs import storage, train
+from tiny import tiny, write_toml
 
 UPDATES = 20
 OVERLAY = {"base": {"ppo": {"updates": UPDATES}}, "discovery": {"max_policies": 1, "min_policies": 1}}
