@@ -9,7 +9,6 @@ from murmurate.learning.advantage import generalized_advantage, rewards_to_go
 from murmurate.learning.config import Hyperparameters, PPOConfig, Schedule, Shape, ValueTarget
 from murmurate.learning.environment import (
     ActionDistribution,
-    ActionRepeat,
     Environment,
     Policy,
     Transition,
@@ -17,13 +16,12 @@ from murmurate.learning.environment import (
     step_with_autoreset,
 )
 from murmurate.learning.losses import Batch, policy_loss, value_loss
-from murmurate.learning.ppo import Rollout, TrainState, check_networks, collect, init, set_log_std, train_chunk
+from murmurate.learning.ppo import Rollout, TrainState, collect, init, set_log_std, train_chunk
 from murmurate.learning.sharding import check_divides
 from murmurate.learning.together import Chunk, train_together
 
 __all__ = [
     "ActionDistribution",
-    "ActionRepeat",
     "Batch",
     "Chunk",
     "Environment",
@@ -38,7 +36,6 @@ __all__ = [
     "Value",
     "ValueTarget",
     "check_divides",
-    "check_networks",
     "collect",
     "generalized_advantage",
     "init",
