@@ -9,7 +9,6 @@ from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
 from murmurate.cli.arguments import Parser
-from murmurate.cli.attended import go_on_attended
 from murmurate.errors import RunError, UsageError
 from murmurate.runs.paper import EXPERIMENTS, check_experiment
 
@@ -27,10 +26,8 @@ def run(argv: Sequence[str]) -> int:
     word = argv[0] if argv and not argv[0].startswith("-") else None
     if word is not None:
         check_experiment(word)  # before JAX is loaded
-    if any(given.partition("=")[0] == "--hosts" for given in argv):
-        go_on_attended()
     from murmurate.cli.progress import Progress
-    from murmurate.learning import hosts
+    from murmurate.learning import sharding
     from murmurate.runs import presets
     from murmurate.runs.experiment import read_toml
     from murmurate.runs.train import discover
@@ -51,7 +48,7 @@ def run(argv: Sequence[str]) -> int:
         raise UsageError("--together is for many runs: it needs --seeds or --vary")
     folder = Path(options.out or Path("runs") / f"{name}-seed{config.seed}")
     try:
-        if not hosts.is_first():
+        if not sharding.is_first():
             discover(config, folder, options.resume)
             return 0
         with Progress() as progress, _events(options.tensorboard) as events:
@@ -80,10 +77,10 @@ def _parser(shown: str) -> Parser:
     parser.add_argument("--together", type=int, metavar="INT", help=side)
     board = "write the training curves for TensorBoard as well (needs the tensorboard extra)"
     parser.add_argument("--tensorboard", action="store_true", help=board)
-    text = "train on this many hosts, each of which runs the same command with its own --host; or auto, as Slurm says"
+    text = "train on this many hosts; each runs the same command with its own --host (auto: ask Slurm or Open MPI)"
     parser.add_argument("--hosts", metavar="INT|auto", help=text)
-    parser.add_argument("--host", type=int, metavar="INT", help="which of them this is, from 0, which keeps the run")
-    text = "where the first of them listens, a free port of its own"
+    parser.add_argument("--host", type=int, metavar="INT", help="index of this host, from 0; host 0 writes the run")
+    text = "address and free port where host 0 listens"
     parser.add_argument("--coordinator", metavar="HOST:PORT", help=text)
     parser.add_fields(presets.preset(shown), aliases={"policy.use": "--policy"})
     parser.epilog = f"Defaults are those of experiment {shown} with the {presets.DEFAULT_LEARNER} learner."
@@ -91,28 +88,28 @@ def _parser(shown: str) -> Parser:
 
 
 def _join(options: Namespace) -> None:
-    """Makes this process one of several hosts, where it was asked for."""
+    """Connects this process with the other hosts, if --hosts asks for it."""
     if options.hosts is None:
         if options.host is not None or options.coordinator is not None:
             raise UsageError("--host and --coordinator go with --hosts")
         return
     if options.seeds is not None or options.vary:
         raise UsageError("--hosts is for one run, and --seeds and --vary are for many (see murmurate sweep)")
-    from murmurate.learning import hosts
+    from murmurate.learning import sharding
 
     if options.hosts == "auto":
         if options.host is not None or options.coordinator is not None:
-            raise UsageError("--hosts auto finds out by itself what --host and --coordinator say")
-        hosts.join(None, None, None)
+            raise UsageError("--hosts auto needs neither --host nor --coordinator")
+        sharding.initialize()
         return
     for name in ("host", "coordinator"):
         if getattr(options, name) is None:
             raise UsageError(f"--hosts {options.hosts} needs --{name} as well")
     count = int(options.hosts) if options.hosts.isdecimal() else options.hosts
-    hosts.check(options.coordinator, count, options.host)
+    sharding.check_address(options.coordinator, count, options.host)
     if options.host == 0 and count > 1:
         print(f"waiting for the other hosts at {options.coordinator}", file=sys.stderr, flush=True)
-    hosts.join(options.coordinator, count, options.host)
+    sharding.initialize(options.coordinator, count, options.host)
 
 
 def _events(wanted: bool) -> AbstractContextManager[Callable[[Path], None] | None]:

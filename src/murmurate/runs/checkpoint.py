@@ -12,9 +12,9 @@ import jax.numpy as jnp
 
 from murmurate.discovery import Search, Snapshot, policy_templates
 from murmurate.errors import RunError
-from murmurate.runs import storage, serialization
+from murmurate.runs import serialization, storage
 
-__all__ = ["Checkpoint", "load", "remove", "save"]
+__all__ = ["Checkpoint", "load", "remove", "rows", "save"]
 
 _FOLDER = "checkpoint"
 _FILE = "snapshot.safetensors"
@@ -79,6 +79,22 @@ def load(folder: str | Path, search: Search) -> Checkpoint:
     tree = serialization.load(path, template)
     snapshot = Snapshot(tree["policies"], tree["sigma"], valid, tree["train"], finished)
     return Checkpoint(snapshot, rows, seconds)
+
+
+def rows(folder: str | Path) -> int:
+    """Returns how many rows of metrics belong to the checkpoint of a run; 0 without a checkpoint.
+
+    Raises:
+        RunError: It is damaged.
+    """
+    path = Path(folder) / _FOLDER / _FILE
+    if not path.exists():
+        return 0
+    notes = serialization.read_notes(path)
+    count = notes.get("rows") if isinstance(notes, dict) else None
+    if not isinstance(count, int):
+        raise RunError(f"{path} is not a checkpoint of this version of murmurate")
+    return count
 
 
 def remove(folder: str | Path) -> None:

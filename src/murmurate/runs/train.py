@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import platform
 import statistics
 import time
@@ -12,15 +13,16 @@ from typing import Any
 
 import jax
 
-from murmurate import __version__
+from murmurate import __version__, prng
 from murmurate.discovery import Search, advance_together, build_cascade, check_parts, policy_name
-from murmurate.runs import checkpoint, copies, storage, serialization
+from murmurate.errors import RunError
+from murmurate.learning import sharding
+from murmurate.runs import checkpoint, serialization, storage
 from murmurate.runs import experiment as configuration
 from murmurate.runs.checkpoint import Checkpoint
+from murmurate.runs.evaluate import EPISODES, Evaluation, evaluate
 from murmurate.runs.experiment import ExperimentConfig
-from murmurate.runs.evaluate import EPISODES, evaluate
 from murmurate.runs.run import METRICS, Run, policy_files
-from murmurate.learning import hosts
 from murmurate.world import FileStart
 
 __all__ = ["NOTHING_VALID", "VALID", "discover", "discover_together"]
@@ -58,6 +60,7 @@ def discover(
     return discover_together({Path(folder): config}, resume, on_progress, on_metrics)[0]
 
 
+@prng.reproducible()
 def discover_together(
     configs: Mapping[Path, ExperimentConfig],
     resume: bool = False,
@@ -68,7 +71,8 @@ def discover_together(
 
     Meant for an accelerator, which one search does not keep busy; on a CPU it takes longer than one after the other.
 
-    On several hosts (`jax.distributed`) all call it alike and the first one's folder is the run's; see `copies`.
+    With several hosts (`murmurate.learning.sharding`) every process calls it with the same arguments. Process 0 alone
+    writes; to resume, the others read the folder too, so it must be on a file system that all of them share.
 
     Args:
         configs: What to discover, and how, by the run folder.
@@ -81,11 +85,9 @@ def discover_together(
 
     Raises:
         InputError: An experiment is impossible; nothing has been written.
-        RunError: A folder holds another run, is damaged, or cannot be written to; or another host is gone.
+        RunError: A folder holds another run, is damaged, cannot be written to, or is not the same on all hosts.
     """
-    with hosts.guarded():
-        places = {copies.place(folder, resume): config for folder, config in configs.items()}
-        return _discover(places, resume, on_progress or (lambda *_, **__: None), on_metrics or (lambda folder: None))
+    return _discover(configs, resume, on_progress or (lambda *_, **__: None), on_metrics or (lambda folder: None))
 
 
 def _discover(
@@ -94,26 +96,43 @@ def _discover(
     tell: Callable[..., None],
     watch: Callable[[Path], None],
 ) -> list[Run]:
-    for folder, config in configs.items():
-        if storage.look(folder, resume) != "new":
-            configuration.check_same(config, folder)
+    sharding.check_agreement("the experiment: give all of them the same command", repr(list(configs.items())).encode())
+
+    def check_folders() -> None:
+        for folder, config in configs.items():
+            if storage.look(folder, resume) != "new":
+                configuration.check_same(config, folder)
+
+    sharding.run_on_first(check_folders)
     searches = {folder: Search(config) for folder, config in configs.items()}
     for search in searches.values():
         check_parts(search.problem)
         search.check_devices()
     works = []
     for folder, search in searches.items():
-        if storage.claim(folder, resume) == "finished":
-            checkpoint.remove(folder)
+        sharding.run_on_first(functools.partial(_prepare, configs[folder], folder, resume))
+        # From here on every process reads the folder, which process 0 has prepared.
+        if storage.look(folder, resume=True) == "finished":
             watch(folder)
             continue
-        configuration.save(configs[folder], folder)
         point = checkpoint.load(folder, search)
-        storage.truncate_lines(folder / METRICS, point.rows)
+        sharding.check_agreement(
+            f"the checkpoint in {folder}: to resume, put it on a file system that all of them share",
+            repr((point.rows, point.seconds)).encode(),
+        )
         works.append(_Work(configs[folder], folder, search, point))
         watch(folder)
     ran = {work.folder: _finish(work, tell) for work in _train(works, tell, watch)}
     return [ran.get(folder) or Run.open(folder) for folder in configs]
+
+
+def _prepare(config: ExperimentConfig, folder: Path, resume: bool) -> None:
+    """Creates a run folder, or brings an interrupted one back to its last checkpoint."""
+    if storage.claim(folder, resume) == "finished":
+        checkpoint.remove(folder)
+        return
+    configuration.save(config, folder)
+    storage.truncate_lines(folder / METRICS, checkpoint.rows(folder))
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,6 +181,13 @@ def _advance(works: Sequence[_Work]) -> tuple[list[_Work], list[dict[str, Any]]]
     advanced = advance_together([work.search for work in works], [work.point.snapshot for work in works])
     took = time.perf_counter() - begun
     after, last = [], []
+    for row in (row for _, rows in advanced for row in rows):
+        if not row.pop("finite"):
+            # The checkpoint before this chunk stays, so other numbers can be tried from there.
+            raise RunError(
+                f"training of the {row['name']} policy failed at update {row['update']}: a loss or a parameter is NaN "
+                "or infinite; try smaller learning rates"
+            )
     for work, (snapshot, rows) in zip(works, advanced, strict=True):
         point, index = work.point, len(work.point.snapshot.policies)
         trained = _environment_steps(work.search, index)
@@ -179,12 +205,16 @@ def _advance(works: Sequence[_Work]) -> tuple[list[_Work], list[dict[str, Any]]]
             for place, row in enumerate(rows)
         ]
         point = replace(point, snapshot=snapshot, rows=point.rows + len(rows), seconds=point.seconds + share)
-        # Rows first: those beyond the checkpoint are cut off on resuming, but missing ones could not be made up.
-        storage.append_lines(work.folder / METRICS, done)
-        checkpoint.save(work.folder, point)
+        sharding.run_on_first(functools.partial(_write, work.folder, done, point))
         after.append(replace(work, point=point))
         last.append(done[-1])
     return after, last
+
+
+def _write(folder: Path, rows: Sequence[Mapping[str, Any]], point: Checkpoint) -> None:
+    # Rows first: those beyond the checkpoint are cut off on resuming, but missing ones could not be made up.
+    storage.append_lines(folder / METRICS, rows)
+    checkpoint.save(folder, point)
 
 
 def _environment_steps(search: Search, policies: int) -> int:
@@ -215,16 +245,22 @@ def _tell(
 
 
 def _finish(work: _Work, tell: Callable[..., None]) -> Run:
+    """Evaluates on every process, and writes on process 0."""
+    tell("evaluation", 0, EPISODES, note=f"{EPISODES} fresh starts")
+    run = Run(work.folder, work.config, build_cascade(work.config, work.point.snapshot.policies), {})
+    evaluation = evaluate(run)
+    manifest = sharding.run_on_first(functools.partial(_write_results, work, evaluation, tell))
+    return replace(run, manifest=manifest or {})
+
+
+def _write_results(work: _Work, evaluation: Evaluation, tell: Callable[..., None]) -> dict[str, Any]:
     """Writes policies, evaluation and, last of all, the manifest: from then on the run is finished."""
     search, config, folder, point = work.search, work.config, work.folder, work.point
     snapshot = point.snapshot
-    tell("evaluation", 0, EPISODES, note=f"{EPISODES} fresh starts")
     files = policy_files(len(snapshot.policies))
     storage.make_folder(folder / "policies")
     for file, policy in zip(files, snapshot.policies, strict=True):
         serialization.save(folder / file, policy)
-    run = Run(folder, config, build_cascade(config, snapshot.policies), {})
-    evaluation = evaluate(run)
     evaluation.save(folder)
     tell("evaluation", EPISODES, EPISODES, valid=float(evaluation.validity.valid.mean()))
     kept = [storage.EXPERIMENT, *([configuration.STARTS] if isinstance(config.start, FileStart) else []), *files]
@@ -247,4 +283,4 @@ def _finish(work: _Work, tell: Callable[..., None]) -> Run:
     }
     storage.write_json(folder / storage.MANIFEST, manifest)
     checkpoint.remove(folder)
-    return replace(run, manifest=manifest)
+    return manifest
