@@ -12,6 +12,7 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from murmurate import prng
 from murmurate.discovery import Cascade, Trajectories, build_cascade, policy_templates
 from murmurate.errors import BeyondTrainingWarning, InputError, RunError, check_number
 from murmurate.runs import files
@@ -120,6 +121,7 @@ class Run:
         target.write_manifest({**self.manifest, "robots": self.experiment.world.robots}, len(self.cascade.policies))
         return target.path
 
+    @prng.reproducible()
     def starts(self, episodes: int, key: int | PRNGKeyArray = 0) -> Float[np.ndarray, "episodes robots 2"]:
         """Draws fresh starts of the experiment.
 
@@ -135,6 +137,7 @@ class Run:
             key = jax.random.fold_in(new_key(int(key)), _HELD_OUT)
         return draw_starts(self.world.start, key, int(episodes), self.world.config)
 
+    @prng.reproducible()
     def rollout(self, starts: int | Float[Array, " ..."] | Any = 100, key: int | PRNGKeyArray = 0) -> Trajectories:
         """Executes the cascade.
 
