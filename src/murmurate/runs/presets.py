@@ -17,8 +17,16 @@ from murmurate.learning import PPOConfig
 from murmurate.policies import CentralPolicy, EquivariantPolicy, LocalPolicy, Policy
 from murmurate.world import OBJECTIVES, ScatteredStart, Start, WorldConfig
 
-__all__ = ["DEFAULT_LEARNER", "TRAINING_PRESETS", "EXPERIMENT_OVERRIDES", "TrainingPreset", "command", "paper_row",
-"preset", "resolve"]
+__all__ = [
+    "DEFAULT_LEARNER",
+    "TRAINING_PRESETS",
+    "EXPERIMENT_OVERRIDES",
+    "TrainingPreset",
+    "command",
+    "paper_row",
+    "preset",
+    "resolve",
+]
 
 
 @dataclass(frozen=True)
