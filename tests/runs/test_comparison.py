@@ -1,4 +1,4 @@
-"""Methods side by side: the same starts for all, every condition kept as soon as it is done, failures counted by kind."""
+"""Methods side by side: the same starts for all, every condition kept as soon as it is done, failures by kind."""
 
 from __future__ import annotations
 
@@ -9,9 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from murmurate.discovery import Cascade
 from murmurate.errors import InputError, RunError
 from murmurate.runs import comparison, comparison_page, train
 from murmurate.runs.comparison import Comparison, Condition, ConditionJob, compare, conditions
+from murmurate.runs.execute import LocalProcesses
 from tiny import tiny
 
 LOCAL = {"policy": {"kind": "local", "hidden": [8, 4]}, "start": {"kind": "random"}, "base": {"ppo": {"updates": 1}}}
@@ -86,6 +88,55 @@ def test_what_is_done_is_not_run_again_and_more_may_be_asked_for(done, setting, 
     monkeypatch.setattr(comparison, "_evaluate", lambda *_: pytest.fail("run again"))
     assert compare(setting, wanted, runs, folder) == json.loads(json.dumps(rows))
     assert compare(replace(setting, episodes=10), wanted, runs, folder) == json.loads(json.dumps(rows))
+
+
+BASELINE = """
+import jax.numpy as jnp
+
+class StandStill:
+    centralised = False
+    deviations = "It does not move."
+
+    def __init__(self, sizes):
+        self.robots = sizes.robots
+
+    def __call__(self, observation):
+        return jnp.zeros((self.robots, 2, observation.view.x.shape[-1]))
+"""
+
+
+def test_a_baseline_of_ones_own_is_compared_here_and_in_a_process(setting, runs, tmp_path, monkeypatch):
+    (tmp_path / "still.py").write_text(BASELINE)
+    monkeypatch.syspath_prepend(tmp_path)
+    wanted = conditions(["still:StandStill"], ["visible"], ["fsync"], [3], known=NAMES)
+    setting = replace(setting, episodes=4)
+    here = compare(setting, wanted, runs, tmp_path / "here")
+    there = compare(setting, wanted, runs, tmp_path / "there", LocalProcesses(1))
+    assert here == there
+    assert [(row["method"], row["collisions"], row["left"]) for row in here] == [("still:StandStill", 0, 0)]
+    assert comparison.sorted_rows(tmp_path / "there") == there
+    assert [path.name for path in (tmp_path / "there").iterdir()] == [comparison.COMPARISON]
+
+
+@pytest.mark.parametrize(
+    ("name", "reason"), [("none:Such", "No module named 'none'"), ("json:loads", "with the field centralised")]
+)
+def test_a_baseline_that_is_none_is_refused(name, reason):
+    with pytest.raises(InputError, match=reason):
+        conditions([name], ["visible"], ["fsync"], [3])
+
+
+def test_the_seed_reaches_the_scheduler_and_the_frames(setting, monkeypatch):
+    seeds = []
+    rollout = Cascade.rollout
+    monkeypatch.setattr(Cascade, "rollout", lambda *args, seed: seeds.append(seed) or rollout(*args, seed=seed))
+    monkeypatch.setattr(comparison, "MAX_PAIRS", 8 * 3**2)
+    for seed in (0, 1):
+        condition = Condition("centroid", "visible", "ssync", 3)
+        comparing = replace(setting, episodes=10, seed=seed)
+        policies = ConditionJob(Path(), comparing, condition)._policies()
+        list(comparison._rollouts(comparing, comparing.problem(condition), policies))
+    assert seeds == [0, 8, 10_000, 10_008]
 
 
 def test_more_starts_are_another_run_of_the_same_cell(runs, setting, tmp_path):

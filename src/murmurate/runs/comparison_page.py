@@ -75,7 +75,7 @@ def page(
         *commands,
         "```",
         "",
-        "Every cell has the same starts for all methods, none of them seen in training, the same speed limit and",
+        "Under each condition all methods have the same starts, none of them seen in training, the same speed limit and",
         "the same step budget. Robots have directions and handedness of their own; only",
         "`circle-central` has a common frame and all positions. Steps, epochs and efficiency (kinematic bound over",
         "steps) are means over the valid episodes; the gap is to the best-known pattern, where there is one.",
