@@ -62,11 +62,11 @@ def _formed(
     from murmurate import pretrained
     from murmurate.errors import check_choice
     from murmurate.runs.evaluate import evaluate
-    from murmurate.world import StartConfig
+    from murmurate.world import Start
 
     check_choice("start", start, STARTS)
     run = pretrained(objective, sensing, scheduler).of_size(robots)
-    run = run.under(replace(run.experiment, sizes=(), start=StartConfig(kind=start)))
+    run = run.under(replace(run.experiment, sizes=(), start=Start.registered()[start]()))
     folder = Path(out or f"runs/{objective}-{sensing}-{scheduler}-{robots}-{start}-seed{seed}")
     evaluation = evaluate(run, EPISODES, seed)
     run.save(folder)

@@ -32,7 +32,7 @@ _STARTS = ("scattered", "distributed", "packed", "random")
 def swarm(record: Record) -> str:
     """Says how many robots start from what."""
     start = record.experiment.get("start")
-    kind = start.get("kind") if isinstance(start, dict) else None
+    kind = start.get("use", start.get("kind")) if isinstance(start, dict) else None
     return f"{record.sizes.robots} robots" + (f", {kind} start" if kind in _STARTS else "")
 
 

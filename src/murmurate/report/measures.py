@@ -15,7 +15,7 @@ from murmurate.report.runs import Result
 
 __all__ = ["REASONS", "Line", "Measures", "Pattern", "fit_line", "measure"]
 
-REASONS = ("collision_free", "mutually_visible", "safe", "gathered", "at_rest")
+REASONS = ("contact_free", "inside", "mutually_visible", "safe", "gathered", "at_rest")
 """What a valid pattern needs, as evaluation.json names it."""
 
 
@@ -103,7 +103,7 @@ def measure(result: Result) -> Measures:
         policy=result.planned.learner,
         seed=config.seed,
         robots=config.world.robots,
-        start=config.start.kind,
+        start=config.start.name,
         half_side=config.world.half_width,
         outcome=manifest["outcome"],
         policies=len(manifest["policies"]),

@@ -60,7 +60,7 @@ def steps_table(experiments: Mapping[str, ByPolicy]) -> Table:
 
     def ours(name: str, robots: int, run: Measures) -> tuple[str, ...]:
         steps = (_number(value) for value in (run.base_steps, run.auxiliary_steps, run.total_steps, run.bound_steps))
-        free = run.lacking["collision_free"]
+        free = run.lacking["contact_free"]
         counts = (_of(run.valid, run), _of(None if free is None else run.episodes - free, run))
         gap = (_gap(run),) if with_gap else ()
         return (name, str(robots), run.policy, *steps, _share(run.efficiency), *counts, *gap)

@@ -5,6 +5,7 @@ A comparison is a grid of conditions. Each is a job (see `execute`), whose resul
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import importlib
 import itertools
@@ -21,18 +22,31 @@ from jaxtyping import Float
 
 from murmurate.analysis.optimum.best_known import best_known
 from murmurate.analysis.optimum.formation import Target
-from murmurate.discovery import Discovery, Trajectories, bound_steps, check_validity
+from murmurate.discovery import Trajectories, bound_steps, build_cascade, check_validity
 from murmurate.errors import InputError, RunError, check_choice, check_number
 from murmurate.geometry import neighbors_and_visible
-from murmurate.policies import Sizes
+from murmurate.policies import LocalPolicy
 from murmurate.policies.baselines import BASELINES
 from murmurate.runs import config_io, storage
 from murmurate.runs.evaluate import wilson
 from murmurate.runs.execute import Executor, InProcess, locked, run_jobs
-from murmurate.runs.experiment import ExperimentConfig, check_seed
+from murmurate.runs.experiment import ExperimentConfig, check_seed, make_importer
 from murmurate.runs.jobs import Job
 from murmurate.runs.run import MAX_EPISODES, Run
-from murmurate.world import Family, SchedulerConfig, SensingConfig, WorldConfig, draw_starts, symmetric_starts
+from murmurate.world import (
+    AsyncScheduler,
+    Family,
+    FsyncScheduler,
+    GlobalSensing,
+    Scheduler,
+    Sensing,
+    SsyncScheduler,
+    SymmetricStart,
+    VisibleSensing,
+    WorldConfig,
+    draw_starts,
+    new_key,
+)
 
 __all__ = [
     "COMPARISON",
@@ -51,23 +65,24 @@ __all__ = [
 
 COMPARISON = "comparison.json"
 
-SENSINGS: dict[str, SensingConfig] = {
-    "global": SensingConfig(kind="global", rotation=True, reflection=True, walls=True),
-    "visible": SensingConfig(kind="visible", rotation=True, reflection=True),
-    "chiral": SensingConfig(kind="visible", rotation=True),
-    "noisy": SensingConfig(kind="visible", rotation=True, reflection=True, range_noise=0.02, bearing_noise=0.01),
+SENSINGS: dict[str, Sensing] = {
+    "global": GlobalSensing(rotation=True, reflection=True, walls=True),
+    "visible": VisibleSensing(rotation=True, reflection=True),
+    "chiral": VisibleSensing(rotation=True),
+    "noisy": VisibleSensing(rotation=True, reflection=True, range_noise=0.02, bearing_noise=0.01),
 }
 """What robots perceive, by name. None agrees with another on directions, nor, but for `chiral`, on handedness."""
 
-SCHEDULERS: dict[str, SchedulerConfig] = {
-    "fsync": SchedulerConfig(),
-    "ssync": SchedulerConfig(kind="ssync"),
-    "adversarial": SchedulerConfig(kind="ssync", adversarial=True, rigid=False),
-    "async": SchedulerConfig(kind="async"),
-    "async-nonrigid": SchedulerConfig(kind="async", rigid=False),
+SCHEDULERS: dict[str, Scheduler] = {
+    "fsync": FsyncScheduler(),
+    "ssync": SsyncScheduler(),
+    "adversarial": SsyncScheduler(adversarial=True, rigid=False),
+    "async": AsyncScheduler(),
+    "async-nonrigid": AsyncScheduler(rigid=False),
 }
 """When robots move, by name."""
 
+STRATEGIES: dict[str, tuple[Any, Any]] = {"sensings": (Sensing, SENSINGS), "schedulers": (Scheduler, SCHEDULERS)}
 RANDOM = "random"
 
 MAX_WORST = 3
@@ -128,10 +143,9 @@ class Comparison:
         sensing = SENSINGS[condition.sensing]
         if is_baseline(condition.method) and find_baseline(condition.method).centralised:
             # A centralised method has one frame, and all positions in it.
-            sensing = SensingConfig(kind="global")
-        policy = replace(self.base.policy, kind="local", credit="robots")
+            sensing = GlobalSensing()
         scheduler = SCHEDULERS[condition.scheduler]
-        problem = replace(self.base, policy=policy, sensing=sensing, scheduler=scheduler, sizes=())
+        problem = replace(self.base, policy=LocalPolicy(), sensing=sensing, scheduler=scheduler, sizes=())
         return problem.of_size(condition.robots)
 
 
@@ -305,16 +319,7 @@ class ConditionJob(Job):
         if self.learned is not None:
             return self.learned.cascade.policies
         world = self.comparison.problem(self.condition).world
-        sizes = Sizes(
-            robots=world.robots,
-            half_width=world.half_width,
-            half_height=world.half_height,
-            radius=world.radius,
-            safe_distance=world.safe_distance,
-            max_speed=world.max_speed,
-            landmark=self.comparison.base.objective == "C1",
-        )
-        return (find_baseline(self.condition.method)(sizes),)
+        return (find_baseline(self.condition.method)(world, self.comparison.base.landmark),)
 
     def fields(self) -> dict[str, Any]:
         """See `Job`."""
@@ -329,7 +334,7 @@ class ConditionJob(Job):
     @classmethod
     def from_spec(cls, fields: Mapping[str, Any]) -> ConditionJob:
         """See `Job`."""
-        base = config_io.from_dict(ExperimentConfig, fields["base"])
+        base = config_io.from_dict(ExperimentConfig, fields["base"], importer=make_importer(fields["base"]))
         comparison = Comparison(base, fields["episodes"], fields["seed"])
         learned = None if fields["learned"] is None else Run.open(fields["learned"])
         return cls(Path(fields["folder"]), comparison, Condition(**fields["condition"]), learned)
@@ -377,8 +382,8 @@ def _settings(comparison: Comparison, runs: Mapping[str, Mapping[str, Run]]) -> 
         "world": world,
         "rest": asdict(comparison.base.rest),
         "seed": comparison.seed,
-        "sensings": {name: asdict(config) for name, config in SENSINGS.items()},
-        "schedulers": {name: asdict(config) for name, config in SCHEDULERS.items()},
+        "sensings": {name: config_io.to_dict(sensing) for name, sensing in SENSINGS.items()},
+        "schedulers": {name: config_io.to_dict(scheduler) for name, scheduler in SCHEDULERS.items()},
         "weights": {
             f"{name}, {sensing}": _fingerprint(run)
             for name, by_sensing in runs.items()
@@ -408,6 +413,11 @@ def _read_rows(path: Path, settings: Mapping[str, Any]) -> dict[Condition, dict[
         if name == "weights" and isinstance(old, dict):
             # Methods that only one of the two has do no harm: their rows are told apart.
             same = all(old.get(key, new) == new for key, new in value.items())
+        elif name in STRATEGIES and isinstance(old, dict) and not same:
+            # Version 0.1.0 wrote other names of fields.
+            kind, strategies = STRATEGIES[name]
+            with contextlib.suppress(InputError):
+                same = {key: config_io.from_dict(kind, fields) for key, fields in old.items()} == strategies
         if not same:
             what = f"{name} is {old!r} there, {value!r} here"
             raise RunError(f"{path} holds another comparison: {what}; choose another folder")
@@ -456,15 +466,12 @@ def _rollouts(
     comparison: Comparison, problem: ExperimentConfig, policies: tuple[Any, ...], start: str = RANDOM
 ) -> Iterator[Trajectories]:
     """Executes a method from all starts, as many at a time as memory holds; every method from the same."""
-    discovery = Discovery(problem)
-    cascade = discovery.cascade(policies)
+    cascade = build_cascade(problem, policies)
     size = min(max(MAX_PAIRS // problem.world.robots**2, 8), comparison.episodes)
-    key = jax.random.fold_in(jax.random.fold_in(jax.random.key(comparison.seed), _HELD_OUT), problem.world.robots)
+    drawn = cascade.world.start if start == RANDOM else SymmetricStart(cast(Any, start)).prepare(problem.world)
+    key = jax.random.fold_in(jax.random.fold_in(new_key(comparison.seed), _HELD_OUT), problem.world.robots)
     for first in range(0, comparison.episodes, size):
-        if start == RANDOM:
-            starts = draw_starts(discovery.world.start, jax.random.fold_in(key, first), size)
-        else:
-            starts = symmetric_starts(cast(Any, start), problem.world, size, seed=comparison.seed + first)
+        starts = draw_starts(drawn, jax.random.fold_in(key, first), size, problem.world)
         # Each batch of each seed has frames, noise and a scheduler of its own.
         batch = cascade.rollout(starts, seed=(comparison.seed * MAX_EPISODES + first) % 2**32)
         yield _first_episodes(batch, comparison.episodes - first)
@@ -479,12 +486,12 @@ def _first_episodes(batch: Trajectories, count: int) -> Trajectories:
 
 def _measure(problem: ExperimentConfig, batch: Trajectories) -> dict[str, np.ndarray]:
     """Measures every episode."""
-    validity, world = check_validity(batch, problem.world), problem.world
+    validity, world = check_validity(batch, problem.world, problem.thresholds), problem.world
     ends = zip(batch.positions[:, 0], batch.final, strict=True)
     bound = np.array([bound_steps(first, last, world.max_speed) for first, last in ends])
     return {
         "valid": validity.valid,
-        "free": validity.collision_free,
+        "free": validity.contact_free & validity.inside,
         "left": _left(batch.final, world),
         "seen": validity.mutually_visible,
         "safe": validity.safe,

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from murmurate.discovery import Discovery
+from murmurate.discovery import build_world, check_parts
 from murmurate.errors import InputError, RunError, check_choice, check_number, suggestion
 from murmurate.runs import config_io, presets, storage
 from murmurate.runs.experiment import MAX_SEED, ExperimentConfig, check_same, check_seed
@@ -80,12 +80,13 @@ class Grid:
     @classmethod
     def product(
         cls,
-        experiments: Sequence[str | ExperimentConfig],
+        experiments: Sequence[str | Path | ExperimentConfig],
         *,
         learners: Sequence[str | None] = (None,),
         seeds: int | Sequence[int] | None = None,
         fields: Mapping[str, Any] | None = None,
         axes: Mapping[str, Sequence[Any]] | None = None,
+        folders: Sequence[Path] = (),
     ) -> Grid:
         """Returns every combination of experiments, training presets, values of fields, and seeds.
 
@@ -95,6 +96,7 @@ class Grid:
             seeds: How many seeds, from 0 on, or which; None for that of each experiment.
             fields: Fields to replace in all experiments, by dotted path.
             axes: Fields and the values that they take in turn, by dotted path. Names of runs show them.
+            folders: Folders in which the modules of strategies "module:Class" are looked for.
 
         Raises:
             InputError: A name, field or value is unknown or not allowed, or a combination comes twice.
@@ -105,8 +107,9 @@ class Grid:
         combinations = [dict(zip(axes, values, strict=True)) for values in itertools.product(*axes.values())]
         runs: dict[str, ExperimentConfig] = {}
         varied: dict[str, None] = {}
+        checked: set[str] = set()
         for experiment, learner, values in itertools.product(experiments, learners, combinations):
-            config = _build(experiment, learner, {**(fields or {}), **values})
+            config = _build(experiment, learner, {**(fields or {}), **values}, folders, checked)
             for seed in chosen:
                 run = config if seed is None else replace(config, seed=seed)
                 leaves = {leaf.path: leaf.value for leaf in config_io.leaves(run)}
@@ -116,9 +119,7 @@ class Grid:
                     raise InputError(BLOCKS, name, allowed)
                 runs[name] = run
                 # An axis may be a section, such as a start with all its fields.
-                varied |= dict.fromkeys(
-                    leaf for path in values for leaf in leaves if leaf == path or leaf.startswith(f"{path}.")
-                )
+                varied |= {leaf: None for path in values for leaf in leaves if f"{leaf}.".startswith(f"{path}.")}
         return cls(runs, tuple(varied))
 
     @classmethod
@@ -134,7 +135,7 @@ class Grid:
         path = Path(path)
         blocks = _blocks(config_io.load_toml(path), path.parent)
         _check_size(sum(_size(**block) for block in blocks))
-        products = [cls.product(**block) for block in blocks]
+        products = [cls.product(**block, folders=[path.parent]) for block in blocks]
         return sum(products[1:], products[0])
 
     @classmethod
@@ -227,29 +228,37 @@ def _size(
     return math.prod(map(len, (experiments, learners, seeds or (None,), *axes.values())))
 
 
-def _build(experiment: str | ExperimentConfig, learner: str | None, values: Mapping[str, Any]) -> ExperimentConfig:
+def _build(
+    experiment: str | Path | ExperimentConfig,
+    learner: str | None,
+    values: Mapping[str, Any],
+    folders: Sequence[Path],
+    checked: set[str],
+) -> ExperimentConfig:
     """Builds one experiment, and checks that it is possible.
 
     Raises:
         InputError: A field or value is unknown or not allowed.
     """
     try:
-        if isinstance(experiment, str):
-            config = presets.resolve(experiment, config_io.nested(values), learner=learner)
-        elif learner is not None:
+        if learner is not None and isinstance(experiment, ExperimentConfig):
             raise InputError("learners", learner, "left out: the experiment has its training preset already")
-        else:
-            config = config_io.replaced(experiment, config_io.nested(values))
-        Discovery(config)
+        config = presets.resolve(experiment, config_io.nested(values), learner=learner, folders=folders)
+        build_world(config)
+        # A user's own strategies are evaluated, once for all runs that have the same.
+        own = repr([config_io.to_dict(part) for _, part in config_io.strategies(config) if part.is_foreign()])
+        if own not in ("[]", *checked):
+            check_parts(config)
+            checked.add(own)
     except InputError as error:
-        name = experiment if isinstance(experiment, str) else experiment.name
+        name = experiment.name if isinstance(experiment, ExperimentConfig) else experiment
         raise InputError(error.field, error.value, f"{error.allowed} (in experiment {name})") from None
     return config
 
 
 def _name(config: ExperimentConfig, learner: str | None, values: Mapping[str, Any]) -> str:
     """Names a run by its experiment, training preset and seed, and by the values of the axes."""
-    parts = [config.name, learner or config.policy.kind, f"seed{config.seed}"]
+    parts = [config.name, learner or config.policy.name, f"seed{config.seed}"]
     parts += [f"{path}={_text(value)}" for path, value in values.items()]
     name = re.sub(r"[^\w.,+=-]+", "_", "-".join(parts))
     if len(name) <= MAX_NAME:

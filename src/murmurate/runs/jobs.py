@@ -142,7 +142,8 @@ class TrainingJob(Job):
         """Trains several runs, those of the same shapes side by side in one compiled program."""
         from murmurate.runs.train import discover_together
 
-        configs = {job.folder: job.config or configuration.load(job.folder) for job in jobs}
+        # A worker may import the modules that its sweep names: the user who started the sweep named them.
+        configs = {job.folder: job.config or configuration.load(job.folder, trusted=True) for job in jobs}
         discover_together(configs, True, on_progress, jobs[0].on_metrics)
 
     def fields(self) -> dict[str, Any]:

@@ -24,7 +24,7 @@ PARQUET = "results.parquet"
 
 Row = dict[str, Any]
 
-FRACTIONS = ("valid", "collision_free", "mutually_visible", "gathered", "safe", "at_rest")
+FRACTIONS = ("valid", "contact_free", "inside", "mutually_visible", "gathered", "safe", "at_rest")
 MEANS = ("base_steps", "auxiliary_steps", "total_steps", "bound_steps", "efficiency", "best_known", "gap")
 
 MEASURED = (
@@ -112,7 +112,7 @@ def _row(name: str, config: ExperimentConfig, varied: Sequence[str], folder: Pat
         "error": error,
         "experiment": config.name,
         "objective": config.objective,
-        "policy": config.policy.kind,
+        "policy": config.policy.name,
         "robots": config.world.robots,
         "seed": config.seed,
         **{path: values.get(path) for path in varied},
