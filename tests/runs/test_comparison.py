@@ -97,8 +97,8 @@ class StandStill:
     centralised = False
     deviations = "It does not move."
 
-    def __init__(self, sizes):
-        self.robots = sizes.robots
+    def __init__(self, world, landmark):
+        self.robots = world.robots
 
     def __call__(self, observation):
         return jnp.zeros((self.robots, 2, observation.view.x.shape[-1]))
@@ -189,9 +189,10 @@ def test_what_made_the_cells_is_noted_once(done, setting, runs):
 
 
 def test_a_central_mind_has_one_frame_and_others_have_their_own(setting):
-    assert not setting.problem(Condition("circle-central", "visible", "fsync", 5)).sensing.disoriented
+    sensing = setting.problem(Condition("circle-central", "visible", "fsync", 5)).sensing
+    assert (sensing.name, sensing.rotation, sensing.reflection) == ("global", False, False)
     sensing = setting.problem(Condition("circle", "visible", "fsync", 5)).sensing
-    assert (sensing.kind, sensing.rotation, sensing.reflection) == ("visible", True, True)
+    assert (sensing.name, sensing.rotation, sensing.reflection) == ("visible", True, True)
 
 
 @pytest.mark.parametrize(

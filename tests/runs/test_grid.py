@@ -50,7 +50,7 @@ fields.world.max_speed = 0.125
     speeds = {name: run.world.max_speed for name, run in grid.runs.items()}
     assert speeds.pop("one-central-seed0-world.max_speed=0.125") == 0.125
     assert set(speeds.values()) == {0.25}
-    assert {run.policy.kind for run in grid.runs.values() if run.name == "A"} == {"central", "equivariant"}
+    assert {run.policy.name for run in grid.runs.values() if run.name == "A"} == {"central", "equivariant"}
 
 
 @pytest.mark.parametrize(

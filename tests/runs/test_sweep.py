@@ -155,13 +155,25 @@ def test_two_sweeps_never_work_in_one_folder(folder, capsys):
     assert os.listdir(folder / "out") == [".lock"]
 
 
-def test_two_seeds_end_in_one_table(tmp_path):
+OWN_SIGNAL = """
+import jax.numpy as jnp
+from murmurate.world import Signal
+
+class Calm(Signal):
+    def __call__(self, configuration):
+        return jnp.cos(configuration.positions).mean(axis=1)
+"""
+
+
+def test_runs_with_a_signal_of_ones_own_end_in_one_table(tmp_path):
     write_toml(tmp_path / "tiny.toml")
-    (tmp_path / "sweep.toml").write_text('experiments = ["tiny.toml"]\nseeds = 2\n')
+    (tmp_path / "mine.py").write_text(OWN_SIGNAL)
+    text = 'experiments = ["tiny.toml"]\n[fields.signals.calm]\nuse = "mine:Calm"\n[grid]\n'
+    (tmp_path / "sweep.toml").write_text(f'{text}"signals.calm.weight" = [0.5, 1.0]\n')
     printed, rows = finish(tmp_path, "--parquet")
-    assert [(row["seed"], row["status"], row["attempts"]) for row in rows.values()] == [
-        ("0", "done", "1"),
-        ("1", "done", "1"),
+    assert [(row["signals.calm.weight"], row["status"], row["attempts"]) for row in rows.values()] == [
+        ("0.5", "done", "1"),
+        ("1.0", "done", "1"),
     ]
     for name, row in rows.items():
         assert float(row["valid"]) == table.read_evaluation(tmp_path / "out" / name)["valid"]
