@@ -13,7 +13,7 @@ from matplotlib.ticker import FuncFormatter, NullLocator
 
 from benchmarks import peers
 from benchmarks.cases import SENSING, SIZED, STEP
-from benchmarks.summary import costs
+from benchmarks.report import step_seconds
 from murmurate.plots.page import LEFT, TEXT, add_axes, add_legend, draw_head, new_page, style_axes
 from murmurate.plots.palette import INK, MUTED, policy_color
 
@@ -51,7 +51,7 @@ def _draw_costs(ax: Axes, data: Mapping[str, Any]) -> None:
     _logarithmic(ax)
     keys, values = [], []
     for name, (label, color, marker) in _CURVES.items():
-        robots, seconds = costs(data["cases"], name)
+        robots, seconds = step_seconds(data["cases"], name)
         ax.plot(robots, seconds, linestyle="none", color=color, marker=marker, markersize=5.5, zorder=3)
         values += seconds
         fits = [fit for fit in data["fits"] if fit["name"] == name]

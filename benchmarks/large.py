@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from benchmarks.timing import Case, measure
+from benchmarks.measure import Case, measure
 from murmurate.geometry import visibility
 from murmurate.world import signals
 

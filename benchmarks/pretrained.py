@@ -12,28 +12,29 @@ import argparse
 import platform
 from pathlib import Path
 
-from murmurate.runs import experiment, storage
+from murmurate.runs import experiment, files
 from murmurate.runs.execute import InProcess, run_jobs
+from murmurate.runs.folder import MANIFEST, METRICS, RunFolder
 from murmurate.runs.grid import Grid
 from murmurate.runs.jobs import training_jobs
 from murmurate.runs.pretrained import FOLDER
-from murmurate.runs.run import METRICS, Run
 
 EVERY = 10
 """Of the metrics, the package holds one row in so many: enough to draw how training went."""
 
 
 def pack(folder: Path, to: Path) -> None:
-    """Puts what is needed of a run into the package."""
-    run = Run.open(folder)
-    for name in run.manifest["checksums"]:
-        storage.make_folder((to / name).parent)
-        storage.write_bytes(to / name, (folder / name).read_bytes())
-    rows = (folder / METRICS).read_text("utf-8").splitlines(keepends=True)
-    storage.write_text(to / METRICS, "".join(rows[EVERY - 1 :: EVERY]))
+    """Copies what the package needs of a run."""
+    run, copy = RunFolder(folder), RunFolder(to)
+    manifest = run.verify()
+    for name in manifest["checksums"]:
+        files.make_folder((to / name).parent)
+        files.write_bytes(to / name, (folder / name).read_bytes())
+    (to / METRICS).unlink(missing_ok=True)
+    copy.append_metrics(run.metrics()[EVERY - 1 :: EVERY])
     # Not the kernel of the machine that happened to train them.
-    kept = {**run.manifest, "platform": f"{platform.system()} {platform.machine()}"}
-    storage.write_json(to / storage.MANIFEST, kept)
+    platform_name = f"{platform.system()} {platform.machine()}"
+    files.write_json(to / MANIFEST, {**manifest, "platform": platform_name})
 
 
 def main() -> None:
@@ -41,7 +42,7 @@ def main() -> None:
     parser.add_argument("--runs", type=Path, default=Path("runs"), help="where the runs are kept")
     parser.add_argument("--only-finished", action="store_true", help="train nothing, pack what is finished")
     options = parser.parse_args()
-    folders = sorted(path.parent for path in FOLDER.glob(f"*/*/{storage.EXPERIMENT}"))
+    folders = sorted(path.parent for path in FOLDER.glob(f"*/*/{experiment.EXPERIMENT}"))
     names = {f"pretrained-{to.parent.name}-{to.name}": to for to in folders}
     if not options.only_finished:
         grid = Grid({name: experiment.load(to) for name, to in names.items()})

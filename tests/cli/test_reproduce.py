@@ -8,7 +8,8 @@ from murmurate import plots
 from murmurate.cli.main import main
 from murmurate.report import plan as planning
 from murmurate.report.plan import Plan, PlannedRun
-from murmurate.runs import storage, train
+from murmurate.runs import files, train
+from murmurate.runs.folder import RunFolder
 from murmurate.runs.paper import EXPERIMENTS
 from tiny import tiny
 
@@ -61,7 +62,7 @@ def test_finished_runs_become_a_report(finished, capsys):
     assert out.startswith("2 runs in runs: 2 finished, 0 to go on with, 0 to train\ndrawing the report\n")
     assert "report: reproduction/report.html, reproduction/report.md\nnumbers: reproduction/report.json\n" in out
     assert contents(finished / "runs") == before
-    assert storage.read_json("reproduction/report.json")["command"] == "murmurate reproduce"
+    assert files.read_json("reproduction/report.json")["command"] == "murmurate reproduce"
 
 
 def test_options_are_in_the_command_of_the_report(finished):
@@ -69,7 +70,7 @@ def test_options_are_in_the_command_of_the_report(finished):
     words = ["reproduce", "--quick", "--out", "here", "--runs", "my runs", "--seed", "4"]
     assert main(words) == 0
     assert planning.make_plan.seen == (4, True)
-    numbers = storage.read_json("here/report.json")
+    numbers = files.read_json("here/report.json")
     assert (numbers["command"], numbers["quick"]) == (
         "murmurate reproduce --quick --out here --runs 'my runs' --seed 4",
         True,
@@ -100,7 +101,7 @@ def test_an_interrupted_command_goes_on(work, trained, capsys, monkeypatch):
     assert main(["reproduce"]) == 0
     assert "2 runs in runs: 0 finished, 1 to go on with, 1 to train\n" in capsys.readouterr().out
     for name in NAMES:
-        checksums = [storage.read_manifest(runs / name)["checksums"] for runs in (work / "runs", trained)]
+        checksums = [RunFolder(runs / name).manifest()["checksums"] for runs in (work / "runs", trained)]
         assert checksums[0] == checksums[1]
 
 

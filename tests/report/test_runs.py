@@ -10,7 +10,8 @@ import pytest
 from murmurate.errors import RunError
 from murmurate.report import runs as work
 from murmurate.runs import experiment as configuration
-from murmurate.runs import storage, train
+from murmurate.runs import train
+from murmurate.runs.folder import RunFolder
 from tiny import tiny
 
 
@@ -47,7 +48,7 @@ def test_an_interrupted_run_goes_on_to_the_same_weights(plan, runs, tmp_path, mo
     monkeypatch.setattr(train, "advance_together", advance)
     assert work.check(plan, tmp_path) == {plan.runs[0].name: "unfinished", plan.runs[1].name: "new"}
     result = work.train(plan, tmp_path)[0]
-    whole = storage.read_manifest(runs / planned.name)
+    whole = RunFolder(runs / planned.name).manifest()
     assert result.manifest["checksums"] == whole["checksums"]
 
 

@@ -15,9 +15,9 @@ import pytest
 
 import murmurate
 from murmurate.cli.main import main
-from murmurate.runs import storage, table
 from murmurate.runs.clusters import Slurm
 from murmurate.runs.execute import Resources, run_jobs
+from murmurate.runs.folder import RunFolder
 from murmurate.runs.grid import Grid
 from murmurate.runs.jobs import training_jobs
 from tiny import tiny, write_toml
@@ -176,7 +176,7 @@ def test_runs_with_a_signal_of_ones_own_end_in_one_table(tmp_path):
         ("1.0", "done", "1"),
     ]
     for name, row in rows.items():
-        assert float(row["valid"]) == table.read_evaluation(tmp_path / "out" / name)["valid"]
+        assert float(row["valid"]) == RunFolder(tmp_path / "out" / name).evaluation()["valid"]
         assert f"| {name} |" in printed
     from pyarrow import parquet
 
@@ -211,4 +211,4 @@ def test_submitit_carries_a_run_to_its_end(tmp_path):
         statuses = run_jobs(training_jobs(grid, out), executor, quiet=True)
     assert [(status.state, status.error) for status in statuses.values()] == [("done", "")]
     for name in grid.runs:
-        storage.verify(out / name, storage.read_manifest(out / name))
+        RunFolder(out / name).verify()

@@ -29,6 +29,8 @@ def run(argv: Sequence[str]) -> int:
     parser.add_argument("--tolerance", type=float, metavar="NUMBER", help=tolerance)
     parser.add_argument("--no-scaling", action="store_true", help="patterns of different size are different")
     parser.add_argument("--no-reflection", action="store_true", help="mirror images are different patterns")
+    text = "import the modules that the runs name, which executes them"
+    parser.add_argument("--trust", action="store_true", help=text)
     options, _ = parser.parse(argv)
     if options.tolerance is not None:
         check_number("--tolerance", options.tolerance, 0, GREATEST, exclusive_low=True)
@@ -36,8 +38,8 @@ def run(argv: Sequence[str]) -> int:
     from murmurate.runs import catalogues
 
     out = Path(options.out)
-    catalogues.look(out)
-    found = [finding for word in options.runs for finding in catalogues.findings(word)]
+    catalogues.check_target(out)
+    found = [finding for word in options.runs for finding in catalogues.read_findings(word, options.trust)]
     if not found:
         raise RunError(f"no valid pattern was found in {', '.join(options.runs)}")
     scaling, reflection = not options.no_scaling, not options.no_reflection
@@ -49,7 +51,7 @@ def show(catalogue: Catalogue, out: Path) -> None:
     """Writes a catalogue to a folder, with its plate, and prints its best classes."""
     from murmurate.runs import catalogues
 
-    catalogues.save(catalogue, out)
+    catalogues.write(catalogue, out)
     _draw(catalogue, out / PLATE)
     _print(catalogue, out)
 

@@ -44,7 +44,7 @@ def run(argv: Sequence[str]) -> int:
     parser.add_argument("--into", metavar="FILE.md", help=text)
     text = "evaluate in so many processes of one core each (default: one condition after the other, on all cores)"
     parser.add_argument("--workers", type=int, metavar="INT", help=text)
-    parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
+    parser.add_argument("--quiet", action="store_true", help="do not show the progress")
     parser.epilog = "Conditions that are done are not evaluated again: after an interruption, give the same command."
     options, _ = parser.parse(argv)
     if options.into is not None and not Path(options.into).is_file():
@@ -75,9 +75,8 @@ def _compare(options: Namespace, command: str) -> None:
     base = next(iter(next(iter(runs.values())).values())).experiment
     comparison = Comparison(base, options.episodes, options.seed)
     rows = compare(comparison, wanted, runs, options.out, executor, command=command, quiet=options.quiet)
-    lines = [_line(row) for row in rows] + _write(options, comparison)
-    if not options.quiet:
-        print("\n".join(lines))
+    print("\n".join(map(_line, rows)))
+    _write(options, comparison)
 
 
 def _runs(options: Namespace, sensings: Sequence[str]) -> dict[str, dict[str, Run]]:
@@ -102,10 +101,10 @@ def _runs(options: Namespace, sensings: Sequence[str]) -> dict[str, dict[str, Ru
     return runs
 
 
-def _write(options: Namespace, comparison: Comparison) -> list[str]:
-    """Writes the table and the figures of all rows that the folder holds; returns what to print about them."""
+def _write(options: Namespace, comparison: Comparison) -> None:
+    """Writes the table and the figures of all rows that the folder holds."""
     from murmurate import plots
-    from murmurate.runs import comparison_page, storage
+    from murmurate.runs import comparison_page, files
     from murmurate.runs.comparison import find_baseline, is_baseline, load, sorted_rows
     from murmurate.world import scaled_to
 
@@ -123,12 +122,13 @@ def _write(options: Namespace, comparison: Comparison) -> list[str]:
     methods = dict.fromkeys(row["method"] for row in rows if is_baseline(row["method"]))
     deviations = {method: getattr(find_baseline(method), "deviations", "") for method in methods}
     notes = [f"`{method}`: {text}" for method, text in deviations.items() if text]
-    storage.write_text(out / "comparison.md", comparison_page.page(rows, commands, notes))
+    files.write_text(out / "comparison.md", comparison_page.page(rows, commands, notes))
     if options.into is not None:
         page = Path(options.into)
         part = comparison_page.page(rows, commands, notes, f"{os.path.relpath(out, page.parent)}/")
-        storage.write_text(page, comparison_page.put_into(page.read_text("utf-8"), part))
-    return [f"table: {out / 'comparison.md'}", "pictures: " + ", ".join(map(str, pictures))]
+        files.write_text(page, comparison_page.put_into(page.read_text("utf-8"), part))
+    print(f"table: {out / 'comparison.md'}")
+    print("pictures: " + ", ".join(map(str, pictures)))
 
 
 def _line(row: dict[str, Any]) -> str:

@@ -23,6 +23,7 @@ def discover_many(
     resume: bool,
     together: int | None = None,
     on_metrics: Callable[[Path], None] | None = None,
+    quiet: bool = False,
 ) -> int:
     """Trains the runs of a grid, each in a folder of its own, and catalogues the patterns that they found.
 
@@ -33,6 +34,7 @@ def discover_many(
         resume: Continue the runs that the folder holds.
         together: How many train side by side in one program; by default all on an accelerator, and one on a CPU.
         on_metrics: See `train.discover`.
+        quiet: Do not show the progress.
 
     Returns:
         0, or 3 when no valid pattern was discovered.
@@ -44,16 +46,16 @@ def discover_many(
     from murmurate.cli.catalogue import show
 
     catalogue, folders = out / f"{name}-catalogue", [out / run for run in grid.runs]
-    catalogues.look(catalogue)
-    for run, held in grid.check(out, resume=resume).items():
-        if held == "finished" and on_metrics is not None:
+    catalogues.check_target(catalogue)
+    for run, state in grid.check(out, resume=resume).items():
+        if state == "finished" and on_metrics is not None:
             on_metrics(out / run)
     try:
-        run_jobs(training_jobs(grid, out, on_metrics), InProcess(together))
+        run_jobs(training_jobs(grid, out, on_metrics), InProcess(together), quiet=quiet)
     except KeyboardInterrupt:
         raise KeyboardInterrupt("interrupted; add --resume to the same command to go on") from None
-    print(table.as_markdown(table.RESULTS, table.results(folders)), end="")
-    found = [finding for folder in folders for finding in catalogues.findings(folder)]
+    print(table.as_markdown(table.RESULTS, table.results(folders, trust=True)), end="")
+    found = [finding for folder in folders for finding in catalogues.read_findings(folder, trust=True)]
     if not found:
         print(f"No valid pattern was discovered. The runs are kept in {out}.")
         return NOTHING_VALID

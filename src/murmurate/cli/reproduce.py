@@ -36,7 +36,7 @@ def run(argv: Sequence[str]) -> int:
     parser.add_argument("--seed", type=int, metavar="INT", default=SEED, help=f"seed of every run (default: {SEED})")
     text = "train in so many processes of one core each (default: one run after the other, on all cores)"
     parser.add_argument("--workers", type=int, metavar="INT", help=text)
-    parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
+    parser.add_argument("--quiet", action="store_true", help="do not show the progress")
     parser.epilog = "Finished runs are reused, and unfinished ones go on: after an interruption, give the same command."
     options, _ = parser.parse(argv)
     runs, out = Path(options.runs), Path(options.out or f"reproduction{'-quick' if options.quick else ''}")
@@ -71,18 +71,17 @@ def reproduce(plan: Plan, runs: Path, out: Path, options: Namespace, begun: floa
     from murmurate.runs.execute import InProcess, LocalProcesses
 
     executor = InProcess() if options.workers is None else LocalProcesses(options.workers)
-    tell = (lambda *_: None) if options.quiet else (lambda line: print(line, flush=True))
-    held = Counter(planned.check(plan, runs).values())
+    states = Counter(planned.check(plan, runs).values())
     folder.check(out)
-    parts = f"{held['finished']} finished, {held['unfinished']} to go on with, {held['new']} to train"
-    tell(f"{len(plan.runs)} runs in {runs}: {parts}")
+    parts = f"{states['finished']} finished, {states['unfinished']} to go on with, {states['new']} to train"
+    print(f"{len(plan.runs)} runs in {runs}: {parts}", flush=True)
     results = planned.train(plan, runs, executor, options.quiet)
-    tell("drawing the report")
+    print("drawing the report", flush=True)
     full = _command(options, full=True)
-    command = Command(_command(options), full, time.perf_counter() - begun, held["finished"])
+    command = Command(_command(options), full, time.perf_counter() - begun, states["finished"])
     folder.write(make_report(Material(plan, results, command)), out)
-    tell(f"report: {out / folder.HTML}, {out / folder.MARKDOWN}")
-    tell(f"numbers: {out / folder.NUMBERS}")
+    print(f"report: {out / folder.HTML}, {out / folder.MARKDOWN}")
+    print(f"numbers: {out / folder.NUMBERS}")
 
 
 def _command(options: Namespace, full: bool = False) -> str:

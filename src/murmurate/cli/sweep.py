@@ -48,7 +48,7 @@ def run(argv: Sequence[str]) -> int:
             rows = sweep(grid, out, executor, parquet=options.parquet, quiet=options.quiet)
     except KeyboardInterrupt:
         raise KeyboardInterrupt("interrupted; the same command goes on") from None
-    return _report(rows, out, options.quiet)
+    return _report(rows, out)
 
 
 def _parser() -> Parser:
@@ -71,7 +71,7 @@ def _parser() -> Parser:
     parser.add_argument("--slurm", action="append", default=[], metavar="KEY=VALUE", help=text)
     text = "write the table as results.parquet as well (needs the parquet extra)"
     parser.add_argument("--parquet", action="store_true", help=text)
-    parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
+    parser.add_argument("--quiet", action="store_true", help="do not show the progress")
     parser.epilog = "After an interruption, give the same command: finished runs stay, and unfinished ones go on."
     return parser
 
@@ -89,28 +89,26 @@ def _executor(options: Namespace, out: Path) -> Executor:
     return Slurm(out, options.workers, resources, options.retries, read_options(options.slurm))
 
 
-def _report(rows: list[dict[str, Any]], out: Path, quiet: bool) -> int:
+def _report(rows: list[dict[str, Any]], out: Path) -> int:
     """Prints the results of finished runs, and which failed; returns the exit status."""
-    from murmurate.runs import table, train
+    from murmurate.runs import table
     from murmurate.runs.sweep import CSV
     from murmurate.runs.worker import LOG
 
-    lines: list[str] = []
     done = [row for row in rows if row["status"] == "done"]
     failed = [row for row in rows if row["status"] == "failed"]
     if done:
-        results = table.results(out / row["run"] for row in done)
+        results = table.results((out / row["run"] for row in done), trust=True)
         cells = [(row["run"], *result[3:]) for row, result in zip(done, results, strict=True)]
-        lines += table.as_markdown(("run", *table.RESULTS[3:]), cells).splitlines()
-    lines.append(f"table: {out / CSV}")
+        print(table.as_markdown(("run", *table.RESULTS[3:]), cells), end="")
+    print(f"table: {out / CSV}")
     for row in failed:
         log = out / row["run"] / LOG
-        lines.append(f"failed: {row['run']}: {row['error']}{f' (see {log})' if log.exists() else ''}")
-    valid = any(row["outcome"] == train.VALID for row in done)
+        print(f"failed: {row['run']}: {row['error']}{f' (see {log})' if log.exists() else ''}")
     if failed:
-        lines.append(f"{len(failed)} of {len(rows)} runs failed; the same command tries them again.")
-    elif not valid:
-        lines.append(f"No valid pattern was discovered. The runs are kept in {out}.")
-    if not quiet:
-        print("\n".join(lines))
-    return FAILED if failed else 0 if valid else NOTHING_VALID
+        print(f"{len(failed)} of {len(rows)} runs failed; the same command tries them again.")
+        return FAILED
+    if not any(row["valid_pattern"] for row in done):
+        print(f"No valid pattern was discovered. The runs are kept in {out}.")
+        return NOTHING_VALID
+    return 0

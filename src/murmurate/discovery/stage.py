@@ -128,7 +128,7 @@ class Stage:
         ppo = self.curriculum.parts[place].stage(self.index).ppo
         train = eqx.tree_at(lambda t: t.env_state, train, train.env_state[place])
         updates = self.curriculum.chunk(self.index, update)
-        return Chunk(train, self.environment(place), Hyperparameters.create(ppo), Shape.create(ppo), updates)
+        return Chunk(train, self.environment(place), Hyperparameters.from_config(ppo), Shape.from_config(ppo), updates)
 
     def after_chunk(
         self, before: TrainState, trained: TrainState, metrics: dict[str, Any]

@@ -12,14 +12,13 @@ from murmurate import plots
 from murmurate.discovery import Search
 from murmurate.errors import RunError
 from murmurate.report.plan import Plan, PlannedRun
-from murmurate.runs import checkpoint, storage, table
-from murmurate.runs.evaluate import FRESH, TRAJECTORIES
 from murmurate.runs.execute import Executor, InProcess, run_jobs
+from murmurate.runs.folder import MANIFEST, FolderState, RunFolder, is_fresh
 from murmurate.runs.jobs import training_jobs
 
 __all__ = ["Result", "check", "read", "train"]
 
-NEEDED = frozenset({"platform", "device", "versions", "outcome", "policies", "environment_steps", "train_seconds"})
+NEEDED = frozenset({"platform", "device", "versions", "policies", "environment_steps", "train_seconds"})
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +47,7 @@ class Result:
         return plots.Record.open(self.folder)
 
 
-def check(plan: Plan, runs: str | Path) -> dict[str, storage.Found]:
+def check(plan: Plan, runs: str | Path) -> dict[str, FolderState]:
     """Checks that every run of a plan can be reused, continued or trained; writes nothing.
 
     Args:
@@ -61,15 +60,15 @@ def check(plan: Plan, runs: str | Path) -> dict[str, storage.Found]:
     Raises:
         RunError: A folder holds another experiment, a damaged run, or something that would be overwritten.
     """
-    held = plan.grid.check(runs)
+    states = plan.grid.check(runs)
     for planned in plan.runs:
-        folder = Path(runs) / planned.name
-        if held[planned.name] == "finished":
-            read(planned, folder)
-            storage.read_npz(folder / TRAJECTORIES)
-        elif held[planned.name] == "unfinished":
-            checkpoint.load(folder, Search(planned.config))
-    return held
+        folder = RunFolder(Path(runs) / planned.name)
+        if states[planned.name] == "finished":
+            read(planned, folder.path)
+            folder.trajectories()
+        elif states[planned.name] == "unfinished":
+            folder.checkpoint(Search(planned.config))
+    return states
 
 
 def train(plan: Plan, runs: str | Path, executor: Executor | None = None, quiet: bool = True) -> list[Result]:
@@ -97,12 +96,11 @@ def read(planned: PlannedRun, folder: Path) -> Result:
     Raises:
         RunError: It is damaged or unfinished, or was evaluated from other starts than its experiment's.
     """
-    manifest = storage.read_manifest(folder)
-    storage.verify(folder, manifest)
-    summary = table.read_evaluation(folder)
-    if summary["starts"] != FRESH:
+    run = RunFolder(folder)
+    manifest, summary = run.verify(), run.evaluation()
+    if not is_fresh(summary):
         raise RunError(f"{folder} was evaluated from other starts: make it again with murmurate evaluate {folder}")
     missing = NEEDED - manifest.keys()
     if missing:
-        raise RunError(f"{folder / storage.MANIFEST} lacks {min(missing)}")
+        raise RunError(f"{folder / MANIFEST} lacks {min(missing)}")
     return Result(planned, folder, manifest, summary)

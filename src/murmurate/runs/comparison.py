@@ -27,7 +27,7 @@ from murmurate.errors import InputError, RunError, check_choice, check_number
 from murmurate.geometry import neighbors_and_visible
 from murmurate.policies import LocalPolicy
 from murmurate.policies.baselines import BASELINES
-from murmurate.runs import config_io, storage
+from murmurate.runs import config_io, files
 from murmurate.runs.evaluate import wilson
 from murmurate.runs.execute import Executor, InProcess, locked, run_jobs
 from murmurate.runs.experiment import ExperimentConfig, check_seed, make_importer
@@ -261,7 +261,7 @@ def compare(
         if condition not in rows or rows[condition]["episodes"] < comparison.episodes:
             job = ConditionJob(folder / JOBS / _file_name(str(condition)), comparison, condition, run)
             jobs[job.name] = job
-    storage.make_folder(folder)
+    files.make_folder(folder)
     with locked(folder / JOBS):
         for old in (folder / JOBS).iterdir():
             # Left over from a comparison that was interrupted, perhaps with other weights.
@@ -271,14 +271,14 @@ def compare(
         def keep(name: str) -> None:
             job = jobs[name]
             if job.is_finished():
-                rows[job.condition] = storage.read_json(job.folder / ROW)
-                storage.write_json(path, {**settings, "rows": list(rows.values())})
+                rows[job.condition] = files.read_json(job.folder / ROW)
+                files.write_json(path, {**settings, "rows": list(rows.values())})
 
         try:
             statuses = run_jobs(list(jobs.values()), executor or InProcess(), on_end=keep, quiet=quiet)
         finally:
             shutil.rmtree(folder / JOBS, ignore_errors=True)
-        storage.write_json(path, {**settings, "rows": list(rows.values())})
+        files.write_json(path, {**settings, "rows": list(rows.values())})
     failed = [f"{name}: {status.error}" for name, status in statuses.items() if status.state == "failed"]
     if failed:
         raise RunError(failed[0] + (f" (and {len(failed) - 1} more conditions)" if len(failed) > 1 else ""))
@@ -313,7 +313,7 @@ class ConditionJob(Job):
     def run(self, on_progress: Any = None) -> None:
         """See `Job`."""
         self.prepare()
-        storage.write_json(self.folder / ROW, _evaluate(self.comparison, self.condition, self._policies()))
+        files.write_json(self.folder / ROW, _evaluate(self.comparison, self.condition, self._policies()))
 
     def _policies(self) -> tuple[Any, ...]:
         if self.learned is not None:
@@ -336,12 +336,12 @@ class ConditionJob(Job):
         """See `Job`."""
         base = config_io.from_dict(ExperimentConfig, fields["base"], importer=make_importer(fields["base"]))
         comparison = Comparison(base, fields["episodes"], fields["seed"])
-        learned = None if fields["learned"] is None else Run.open(fields["learned"])
+        learned = None if fields["learned"] is None else Run.open(fields["learned"], trust=True)
         return cls(Path(fields["folder"]), comparison, Condition(**fields["condition"]), learned)
 
     def result(self) -> str:
         """See `Job`."""
-        row = storage.read_json(self.folder / ROW)
+        row = files.read_json(self.folder / ROW)
         return f"{row['valid'] / row['episodes']:.1%} valid"
 
 
@@ -351,7 +351,7 @@ def load(folder: str | Path) -> dict[str, Any]:
     Raises:
         RunError: It is missing or damaged.
     """
-    comparison = storage.read_json(Path(folder) / COMPARISON)
+    comparison = files.read_json(Path(folder) / COMPARISON)
     if not isinstance(comparison, dict) or not isinstance(comparison.get("rows"), list):
         raise RunError(f"{Path(folder) / COMPARISON} is not a comparison")
     return comparison
@@ -393,7 +393,7 @@ def _settings(comparison: Comparison, runs: Mapping[str, Mapping[str, Run]]) -> 
 
 
 def _fingerprint(run: Run) -> str:
-    return hashlib.sha256(storage.to_json(run.manifest.get("checksums", {})).encode()).hexdigest()[:16]
+    return hashlib.sha256(files.to_json(run.manifest.get("checksums", {})).encode()).hexdigest()[:16]
 
 
 def _file_name(text: str) -> str:

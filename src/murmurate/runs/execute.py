@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from murmurate.errors import InputError, RunError, check_number
-from murmurate.runs import storage, worker
+from murmurate.runs import files, worker
 from murmurate.runs.grid import MAX_RUNS
 from murmurate.runs.jobs import Job, JobStatus, initial_statuses
 from murmurate.runs.live_table import LiveTable
@@ -90,7 +90,7 @@ def locked(folder: Path) -> Iterator[None]:
     Raises:
         RunError: Another one works there, or the folder cannot be written to.
     """
-    with storage.os_errors_as_run_errors(f"cannot write to {folder}"):
+    with files.os_errors_as_run_errors(f"cannot write to {folder}"):
         folder.mkdir(parents=True, exist_ok=True)
         lock = (folder / ".lock").open("a")
     with lock:

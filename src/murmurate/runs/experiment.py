@@ -12,10 +12,12 @@ from murmurate.discovery import Problem
 from murmurate.discovery.problem import GATHERING
 from murmurate.errors import InputError, RunError, check_choice, check_number
 from murmurate.registry import Importer, Strategy, source_folder
-from murmurate.runs import config_io, storage
+from murmurate.runs import config_io, files
 from murmurate.world import OBJECTIVES, FileStart, scaled_to
 
-__all__ = ["STARTS", "ExperimentConfig", "check_same", "check_seed", "load", "make_importer", "read_toml", "save"]
+__all__ = ["EXPERIMENT", "STARTS", "ExperimentConfig", "check_same", "check_seed", "load", "make_importer", "read_toml", "save"]
+
+EXPERIMENT = "experiment.toml"
 
 STARTS = "starts.csv"
 """A run that begins at given positions keeps its own copy of them under this name."""
@@ -166,9 +168,9 @@ def save(config: ExperimentConfig, folder: str | Path) -> None:
     config = replace(config, modules=modules)
     if isinstance(start, FileStart):
         config = replace(config, start=replace(start, file=STARTS))
-    storage.write_text(folder / storage.EXPERIMENT, config_io.dump_toml(config))
+    files.write_text(folder / EXPERIMENT, config_io.dump_toml(config))
     if isinstance(start, FileStart):
-        storage.write_bytes(folder / STARTS, Path(start.file).read_bytes())
+        files.write_bytes(folder / STARTS, Path(start.file).read_bytes())
 
 
 def load(
@@ -184,7 +186,7 @@ def load(
     Raises:
         RunError: It is missing or not one that this version understands.
     """
-    path = Path(folder) / storage.EXPERIMENT
+    path = Path(folder) / EXPERIMENT
     try:
         data = read_toml(path)
         importer = replace(make_importer(data, trusted=trusted), imported=imported or {})

@@ -18,8 +18,9 @@ from typing import Any
 
 from murmurate.discovery import build_world, check_parts
 from murmurate.errors import InputError, RunError, check_choice, check_number, suggestion
-from murmurate.runs import config_io, presets, storage
-from murmurate.runs.experiment import MAX_SEED, ExperimentConfig, check_same, check_seed
+from murmurate.runs import config_io, files, presets
+from murmurate.runs.experiment import EXPERIMENT, MAX_SEED, ExperimentConfig, check_seed
+from murmurate.runs.folder import MANIFEST, FolderState, RunFolder
 from murmurate.runs.paper import EXPERIMENTS
 
 __all__ = ["MAX_RUNS", "Grid"]
@@ -176,7 +177,7 @@ class Grid:
             runs[f"{prefix}-seed{seed}{label}"] = replace(changed, seed=seed)
         return cls(runs, tuple(axes))
 
-    def check(self, out: str | Path, *, resume: bool = True, exclusive: bool = False) -> dict[str, storage.Found]:
+    def check(self, out: str | Path, *, resume: bool = True, exclusive: bool = False) -> dict[str, FolderState]:
         """Checks that the runs can be trained in a folder, or continued there; writes nothing.
 
         Args:
@@ -193,21 +194,21 @@ class Grid:
         out = Path(out)
         if exclusive:
             self._check_alone(out)
-        held: dict[str, storage.Found] = {name: storage.look(out / name, resume) for name in self.runs}
+        states: dict[str, FolderState] = {name: RunFolder(out / name).inspect(resume) for name in self.runs}
         for name, config in self.runs.items():
-            if held[name] != "new":
-                check_same(config, out / name)
-        return held
+            if states[name] != "new":
+                RunFolder(out / name).check_same(config)
+        return states
 
     def _check_alone(self, out: Path) -> None:
-        with storage.os_errors_as_run_errors(f"cannot write to {out}"):
+        with files.os_errors_as_run_errors(f"cannot write to {out}"):
             inside = sorted(out.iterdir()) if out.exists() else []
-        if any(path.name in (storage.EXPERIMENT, storage.MANIFEST) for path in inside):
+        if any(path.name in (EXPERIMENT, MANIFEST) for path in inside):
             raise RunError(f"{out} holds a run itself: choose another --out")
         visible = [path.name for path in inside if not path.name.startswith(".")]
         if visible and not any(name in self.runs for name in visible):
             raise RunError(f"{out} is not empty, and holds no run of this sweep: choose another --out")
-        others = [path.name for path in inside if path.name not in self.runs and (path / storage.EXPERIMENT).exists()]
+        others = [path.name for path in inside if path.name not in self.runs and (path / EXPERIMENT).exists()]
         if others:
             more = f" and {len(others) - 1} more" if len(others) > 1 else ""
             raise RunError(f"{out} holds runs that the sweep does not name: {others[0]}{more}; choose another --out")

@@ -10,11 +10,10 @@ from pathlib import Path
 from typing import Any, Literal
 
 from murmurate.discovery import policy_name
-from murmurate.runs import experiment as configuration
-from murmurate.runs import storage, table
+from murmurate.runs import files
 from murmurate.runs.experiment import ExperimentConfig
+from murmurate.runs.folder import METRICS, RunFolder
 from murmurate.runs.grid import Grid
-from murmurate.runs.run import METRICS
 
 __all__ = ["Job", "JobStatus", "Progress", "TrainingJob", "initial_statuses", "training_jobs"]
 
@@ -67,7 +66,7 @@ class Job(abc.ABC):
         Raises:
             RunError: It cannot be written to.
         """
-        storage.make_folder(self.folder)
+        files.make_folder(self.folder)
 
     @abc.abstractmethod
     def run(self, on_progress: Callable[..., None] | None = None) -> None:
@@ -126,12 +125,13 @@ class TrainingJob(Job):
 
     def is_finished(self) -> bool:
         """See `Job`."""
-        return storage.look(self.folder, resume=True) == "finished"
+        return RunFolder(self.folder).inspect(resume=True) == "finished"
 
     def prepare(self) -> None:
         """See `Job`."""
-        if self.config is not None and storage.claim(self.folder, resume=True) == "new":
-            configuration.save(self.config, self.folder)
+        run = RunFolder(self.folder)
+        if run.create(resume=True) == "new" and self.config is not None:
+            run.write_experiment(self.config)
 
     def run(self, on_progress: Callable[..., None] | None = None) -> None:
         """See `Job`."""
@@ -143,7 +143,7 @@ class TrainingJob(Job):
         from murmurate.runs.train import discover_together
 
         # A worker may import the modules that its sweep names: the user who started the sweep named them.
-        configs = {job.folder: job.config or configuration.load(job.folder, trusted=True) for job in jobs}
+        configs = {job.folder: job.config or RunFolder(job.folder).experiment(trust=True) for job in jobs}
         discover_together(configs, True, on_progress, jobs[0].on_metrics)
 
     def fields(self) -> dict[str, Any]:
@@ -161,7 +161,7 @@ class TrainingJob(Job):
 
     def result(self) -> str:
         """See `Job`."""
-        return f"{table.read_evaluation(self.folder)['valid']:.1%} valid"
+        return f"{RunFolder(self.folder).evaluation()['valid']:.1%} valid"
 
 
 def _training_progress(folder: Path, config: ExperimentConfig) -> Progress | None:

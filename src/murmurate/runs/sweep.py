@@ -11,9 +11,10 @@ from pathlib import Path
 from typing import Any
 
 from murmurate.errors import RunError, UsageError
-from murmurate.runs import config_io, storage, table
+from murmurate.runs import config_io, files
 from murmurate.runs.execute import Executor, LocalProcesses, locked, run_jobs
 from murmurate.runs.experiment import ExperimentConfig
+from murmurate.runs.folder import RunFolder
 from murmurate.runs.grid import Grid
 from murmurate.runs.jobs import JobStatus, initial_statuses, training_jobs
 
@@ -28,7 +29,7 @@ FRACTIONS = ("valid", "contact_free", "inside", "mutually_visible", "gathered", 
 MEANS = ("base_steps", "auxiliary_steps", "total_steps", "bound_steps", "efficiency", "best_known", "gap")
 
 MEASURED = (
-    *("outcome", "episodes", *FRACTIONS, *MEANS, "signal_total"),
+    *("valid_pattern", "episodes", *FRACTIONS, *MEANS, "signal_total"),
     *("policies", "environment_steps", "train_seconds", "device", "version"),
 )
 """Columns of what was measured: empty where a run is not finished."""
@@ -126,17 +127,11 @@ def _measured(folder: Path) -> Row:
     Raises:
         RunError: The folder is damaged.
     """
-    manifest = storage.read_manifest(folder)
-    storage.verify(folder, manifest)
-    summary = table.read_evaluation(folder)
-    signal, policies = summary.get("signal"), manifest.get("policies")
-    return {
-        **summary,
-        **manifest,
-        "policies": len(policies) if isinstance(policies, list) else None,
-        "signal_total": signal.get("total") if isinstance(signal, Mapping) else None,
-        "version": manifest.get("murmurate"),
-    }
+    run = RunFolder(folder)
+    manifest, summary = run.verify(), run.evaluation()
+    policies, total = len(manifest["policies"]), summary["signal"].get("total")
+    version = manifest.get("murmurate")
+    return {**summary, **manifest, "policies": policies, "signal_total": total, "version": version}
 
 
 def _finite(value: Any) -> Any:
@@ -154,7 +149,7 @@ def write_csv(path: Path, table: Sequence[Row]) -> None:
     writer.writeheader()
     for row in table:
         writer.writerow({name: "" if value is None else config_io.spelled(value) for name, value in row.items()})
-    storage.write_text(path, text.getvalue())
+    files.write_text(path, text.getvalue())
 
 
 def check_parquet() -> None:
@@ -181,7 +176,7 @@ def write_parquet(path: Path, table: Sequence[Row]) -> None:
     columns = {name: _column([row[name] for row in table]) for name in table[0]}
     buffer = io.BytesIO()
     parquet.write_table(pyarrow.table(columns), buffer)
-    storage.write_bytes(path, buffer.getvalue())
+    files.write_bytes(path, buffer.getvalue())
 
 
 def _column(values: Sequence[Any]) -> list[Any]:
