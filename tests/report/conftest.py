@@ -41,8 +41,7 @@ def plan():
 def runs(plan, tmp_path_factory):
     """The folder of the plan's finished runs; not to be changed."""
     runs = tmp_path_factory.mktemp("runs")
-    for planned in plan.runs:
-        work.train(planned, runs)
+    work.train(plan, runs)
     return runs
 
 

@@ -9,6 +9,7 @@ from typing import Literal
 from murmurate.discovery import StageConfig
 from murmurate.runs.evaluate import EPISODES
 from murmurate.runs.experiment import ExperimentConfig
+from murmurate.runs.grid import Grid
 from murmurate.runs.paper import EXPERIMENTS
 from murmurate.runs.presets import preset
 
@@ -78,6 +79,11 @@ class Plan:
         """Every run once, in the order of training."""
         groups = (*self.experiments.values(), *self.sizes.values())
         return tuple({run.name: run for group in groups for run in group.values()}.values())
+
+    @property
+    def grid(self) -> Grid:
+        """The runs as a grid, by the names of their folders."""
+        return Grid({run.name: run.config for run in self.runs})
 
 
 def make_plan(seed: int = 0, quick: bool = False) -> Plan:

@@ -15,11 +15,12 @@ import pytest
 
 import murmurate
 from murmurate.cli.main import main
-from murmurate.runs import storage, table
-from murmurate.sweeps import plan
-from murmurate.sweeps.backend import Share
-from murmurate.sweeps.conduct import conduct, standing
-from tiny import write_toml
+from murmurate.runs.clusters import Slurm
+from murmurate.runs.execute import Resources, run_jobs
+from murmurate.runs.folder import RunFolder
+from murmurate.runs.grid import Grid
+from murmurate.runs.jobs import training_jobs
+from tiny import tiny, write_toml
 
 LONG = {"base": {"ppo": {"updates": 150}}, "discovery": {"chunk": 2, "min_policies": 1, "max_policies": 1}}
 """Some seconds of training with many checkpoints: time to be killed in."""
@@ -75,7 +76,7 @@ def workers(out):
         except OSError:
             continue
         for log in opened & {str(path) for path in out.glob("*/worker.log")}:
-            if b"sweeps.worker" in command:
+            if b"runs.worker" in command:
                 found[Path(log).parent.name] = int(process.name)
     return found
 
@@ -109,6 +110,7 @@ def killed_in_the_middle(folder, *options, whom=lambda process: process):
     return name, printed
 
 
+@pytest.mark.nightly
 def test_a_killed_worker_costs_nothing_and_changes_nothing(folder):
     killed, printed = killed_in_the_middle(folder)
     assert f"{killed}: to be tried again, attempt 1 failed: killed by SIGKILL" in printed
@@ -127,6 +129,7 @@ def test_a_killed_worker_costs_nothing_and_changes_nothing(folder):
         assert not (folder / "out" / name / "worker.log").exists()
 
 
+@pytest.mark.nightly
 def test_an_interrupted_sweep_leaves_nobody_behind_and_goes_on(folder):
     out = folder / "out"
     command = [sys.executable, "-c", INTERRUPTIBLY, *words(folder)]
@@ -148,27 +151,39 @@ def test_two_sweeps_never_work_in_one_folder(folder, capsys):
     with (folder / "out" / ".lock").open("a") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         assert main(["sweep", str(folder / "sweep.toml"), "--out", str(folder / "out")]) == 2
-    assert "another sweep is at work there" in capsys.readouterr().err
+    assert "another command is at work there" in capsys.readouterr().err
     assert os.listdir(folder / "out") == [".lock"]
 
 
-def test_three_experiments_with_two_seeds_end_in_one_table(tmp_path):
-    for name in ("one", "two", "three"):
-        write_toml(tmp_path / f"{name}.toml", name=name)
-    (tmp_path / "sweep.toml").write_text('experiments = ["one.toml", "two.toml", "three.toml"]\nseeds = 2\n')
+OWN_SIGNAL = """
+import jax.numpy as jnp
+from murmurate.world import Signal
+
+class Calm(Signal):
+    def __call__(self, configuration):
+        return jnp.cos(configuration.positions).mean(axis=1)
+"""
+
+
+def test_runs_with_a_signal_of_ones_own_end_in_one_table(tmp_path):
+    write_toml(tmp_path / "tiny.toml")
+    (tmp_path / "mine.py").write_text(OWN_SIGNAL)
+    text = 'experiments = ["tiny.toml"]\n[fields.signals.calm]\nuse = "mine:Calm"\n[grid]\n'
+    (tmp_path / "sweep.toml").write_text(f'{text}"signals.calm.weight" = [0.5, 1.0]\n')
     printed, rows = finish(tmp_path, "--parquet")
-    assert len(rows) == 6
-    assert {(row["experiment"], row["seed"], row["status"]) for row in rows.values()} == {
-        (name, seed, "done") for name in ("one", "two", "three") for seed in ("0", "1")
-    }
+    assert [(row["signals.calm.weight"], row["status"], row["attempts"]) for row in rows.values()] == [
+        ("0.5", "done", "1"),
+        ("1.0", "done", "1"),
+    ]
     for name, row in rows.items():
-        assert float(row["valid"]) == table.read_evaluation(tmp_path / "out" / name)["valid"]
+        assert float(row["valid"]) == RunFolder(tmp_path / "out" / name).evaluation()["valid"]
         assert f"| {name} |" in printed
     from pyarrow import parquet
 
     assert parquet.read_table(tmp_path / "out" / "results.parquet").column("run").to_pylist() == list(rows)
 
 
+@pytest.mark.nightly
 def test_ray_with_two_workers_one_of_which_is_killed(folder):
     killed, printed = killed_in_the_middle(folder, "--backend", "ray", whom=parent)
     assert f"{killed}: to be tried again, attempt 1 failed: the worker died" in printed
@@ -176,6 +191,7 @@ def test_ray_with_two_workers_one_of_which_is_killed(folder):
     assert not workers(folder / "out")
 
 
+@pytest.mark.nightly
 def test_no_cluster_at_an_address_is_told_within_half_a_minute(folder):
     start = time.monotonic()
     command = [*words(folder), "--backend", "ray", "--address", "127.0.0.1:1"]
@@ -187,16 +203,12 @@ def test_no_cluster_at_an_address_is_told_within_half_a_minute(folder):
     assert not (folder / "out").exists()
 
 
+@pytest.mark.nightly
 def test_submitit_carries_a_run_to_its_end(tmp_path):
-    """With submitit's executor for one machine: a Slurm to submit to is not at hand."""
-    from murmurate.sweeps.slurm import Slurm
-
-    write_toml(tmp_path / "tiny.toml")
-    (tmp_path / "sweep.toml").write_text('experiments = ["tiny.toml"]\n')
-    out = tmp_path / "out"
-    folders = plan.lay_out(plan.read_sweep(tmp_path / "sweep.toml"), out)
-    standings = {name: standing(path) for name, path in folders.items()}
-    conduct(folders, standings, Slurm(out, None, Share(), {}, cluster="local"), 0, lambda name: None)
-    assert [(s.status, s.error) for s in standings.values()] == [("done", "")]
-    for path in folders.values():
-        storage.verify(path, storage.read_manifest(path))
+    """With submitit's executor for one machine: there is no Slurm to submit to here."""
+    out, grid = tmp_path / "out", Grid.product([tiny()])
+    with Slurm(out, resources=Resources(), retries=0, cluster="local") as executor:
+        statuses = run_jobs(training_jobs(grid, out), executor, quiet=True)
+    assert [(status.state, status.error) for status in statuses.values()] == [("done", "")]
+    for name in grid.runs:
+        RunFolder(out / name).verify()
