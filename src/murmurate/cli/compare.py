@@ -105,8 +105,8 @@ def _write(options: Namespace, setting: Any) -> None:
     learned = [row for row in found if row["method"] not in BASELINES] or found
     if any(row["worst"] for row in learned):
         world = setting.base.world
-        scans = {row["robots"]: scaled_to(world, row["robots"]).scan_radius for row in found}
-        plots.save(plots.failures_figure(learned, world.radius, scans), out / "failures.png")
+        worlds = {row["robots"]: scaled_to(world, row["robots"]) for row in found}
+        plots.save(plots.failures_figure(learned, worlds), out / "failures.png")
         pictures.append(out / "failures.png")
     shown = {row["method"] for row in found}
     deviations = {name: one.deviations for name, one in BASELINES.items() if name in shown and one.deviations}

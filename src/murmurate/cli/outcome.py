@@ -36,10 +36,10 @@ def draw(folder: Path, episode: int | None = None) -> Path:
 
     Raises:
         InputError: There is no such episode.
-        RunError: The record is damaged, or the picture cannot be written.
+        RunError: The run is damaged, or the picture cannot be written.
     """
     from murmurate import plots
 
     path = folder / PICTURE
-    plots.save(plots.discovery_figure(plots.Record.open(folder), episode), path)
+    plots.save(plots.discovery_figure(plots.Recording.open(folder), episode), path)
     return path
