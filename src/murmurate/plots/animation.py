@@ -45,9 +45,7 @@ _TRAIL = 25  # steps of path behind each robot
 _FADE = 0.25  # seconds in which a sight line appears or disappears
 
 
-def animate(
-    recording: Recording, path: str | os.PathLike[str], episode: int | None = None, fps: int = 15
-) -> None:
+def animate(recording: Recording, path: str | os.PathLike[str], episode: int | None = None, fps: int = 15) -> None:
     """Writes one episode as an animation of about 5 to 8 seconds that zooms in as the robots gather.
 
     Args:
@@ -95,7 +93,8 @@ def _frames(recording: Recording, episode: Episode, fps: int) -> Iterator[UInt8[
     ax = figure.add_axes((0, 0, 1, 1 - _HEAD / HEIGHT))
     ax.set_axis_off()
     draw_world(ax, world, color=NIGHT.shell)
-    trail = ax.add_collection(LineCollection([], linewidths=1.2, zorder=1.5), autolim=False)
+    trail = LineCollection([], linewidths=1.2, zorder=1.5)
+    ax.add_collection(trail, autolim=False)
     start = episode.positions[0]
     swarm = SwarmArtist(ax, start, world, gathering_point=recording.gathering_point, look=NIGHT, weight=1.2)
     text: dict[str, Any] = {"va": "center", "parse_math": False}
@@ -113,14 +112,15 @@ def _frames(recording: Recording, episode: Episode, fps: int) -> Iterator[UInt8[
         center, half = ((1 - share) * values[step] + share * values[after] for values in (centers, halves))
         ax.set(xlim=center[0] + half[0] * np.array([-1, 1]), ylim=center[1] + half[1] * np.array([-1, 1]))
         seen = sight_pairs(positions, world)[0]
-        strength = np.clip(strength + rate * np.where(seen, 1, -1), 0, 1)
+        done = time >= episode.steps
+        # The last frame stays: it shows what holds at the end.
+        strength = seen.astype(float) if done else np.clip(strength + rate * np.where(seen, 1, -1), 0, 1)
         swarm.update(positions, strength)
         first = max(0, step - _TRAIL)
         recent = np.concatenate([episode.positions[first : step + 1], positions[None]])
         segments, colors = path_segments(recent, policies[first : step + 1], look=NIGHT)
         trail.set_segments(list(segments))
         trail.set_color(list(colors))
-        done = time >= episode.steps
         if done:
             left.set(text=episode.outcome, color=_TEXT)
         else:
@@ -200,9 +200,7 @@ def _encode(pictures: Sequence[Image.Image], format: str, stride: int, duration:
     durations = [round(stride * duration)] * len(shown)
     durations[-1] += round(_HOLD * 1000)
     buffer = io.BytesIO()
-    shown[0].save(
-        buffer, format=format, save_all=True, append_images=shown[1:], loop=0, duration=durations, **options
-    )
+    shown[0].save(buffer, format=format, save_all=True, append_images=shown[1:], loop=0, duration=durations, **options)
     return buffer.getvalue()
 
 

@@ -1,4 +1,4 @@
-"""The model in two figures: what a fat robot is, and which robots see each other, as the geometry kernels compute it."""
+"""The model in two figures: what a fat robot is, and which robots see each other, as the kernels have it."""
 
 from __future__ import annotations
 

@@ -131,9 +131,7 @@ def _best_columns(count: int) -> int:
     return min(range(1, _MAX_COLUMNS + 1), key=misfit)
 
 
-def _draw_pattern(
-    figure: Figure, pattern: PlatePattern, corner: tuple[float, float], side: float, half: float
-) -> None:
+def _draw_pattern(figure: Figure, pattern: PlatePattern, corner: tuple[float, float], side: float, half: float) -> None:
     """Draws one pattern on its disc; `half` is half the side of the axes in world units."""
     ax = add_axes(figure, *corner, side, side)
     ax.set(xlim=(-half, half), ylim=(-half, half))

@@ -195,9 +195,7 @@ def pattern_window(recording: Recording, positions: np.ndarray) -> tuple[np.ndar
     return window(positions, margin=0.75 * max(world.safe_distance, 2 * world.radius))
 
 
-def draw_pattern(
-    ax: Axes, recording: Recording, episode: Episode, step: int, square: tuple[np.ndarray, float]
-) -> None:
+def draw_pattern(ax: Axes, recording: Recording, episode: Episode, step: int, square: tuple[np.ndarray, float]) -> None:
     """Draws one configuration of an episode close up: who sees whom, and the paths that led there."""
     world = recording.experiment.world
     show_window(ax, *square)

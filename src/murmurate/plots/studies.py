@@ -293,7 +293,7 @@ def comparison_figure(rows: Sequence[Row]) -> Figure:
     # A single swarm size is better read in the table: such panels are left out where others have several sizes.
     panels = [panel for panel, robots in sizes.items() if len(robots) > 1] or list(sizes)
     methods = list(dict.fromkeys(row["method"] for row in rows))
-    looks = {
+    looks: dict[str, dict[str, Any]] = {
         method: {"color": _METHOD_COLORS[i % len(_METHOD_COLORS)], "marker": _MARKERS[i % len(_MARKERS)]}
         for i, method in enumerate(methods)
     }

@@ -170,7 +170,7 @@ class SwarmArtist:
         self.clear.set_segments(list(positions[shown]))
         if strength is not None and len(shown):
             color, opacity = self._look.clear
-            self.clear.set_color([to_rgba(color, opacity * strength[i, j]) for i, j in shown])
+            self.clear.set_color([to_rgba(color, float(opacity * strength[i, j])) for i, j in shown])
         self.blocked.set_segments(list(positions[np.argwhere(blocked)]))
         # A robot is outlined when a neighbour cannot see it; robots farther away than the scan radius do not count.
         hidden = (near & ~seen).any(axis=0)
@@ -240,9 +240,7 @@ def show_window(ax: Axes, center: np.ndarray, half: float) -> None:
         spine.set(color=FAINT, linewidth=0.8)
 
 
-def draw_world(
-    ax: Axes, world: WorldConfig, *, clip: bool = True, width: float = 1.0, color: str = SIGHT
-) -> Rectangle:
+def draw_world(ax: Axes, world: WorldConfig, *, clip: bool = True, width: float = 1.0, color: str = SIGHT) -> Rectangle:
     """Draws the edge of the world; without `clip`, axes that end there do not cut the line in half."""
     low, size = (-world.half_width, -world.half_height), (2 * world.half_width, 2 * world.half_height)
     edge = Rectangle(low, *size, fill=False, edgecolor=color, linewidth=width, zorder=0.5, clip_on=clip)
