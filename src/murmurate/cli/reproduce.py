@@ -76,21 +76,19 @@ def reproduce(plan: Plan, runs: Path, out: Path, words: str, full: str, begun: f
     Raises:
         RunError: A folder holds something else, is damaged, or cannot be written to.
     """
-    from murmurate.report import folder
+    from murmurate.report import report
     from murmurate.report import runs as work
-    from murmurate.report.material import Command, Material
-    from murmurate.report.report import make_report
 
     found = Counter(work.check(plan, runs).values())
-    folder.check(out)
+    report.check(out)
     parts = f"{found['finished']} finished, {found['unfinished']} to go on with, {found['new']} to train"
     print(f"{len(plan.runs)} runs in {runs}: {parts}", flush=True)
     results = _train(plan, runs)
     print("drawing the report", flush=True)
-    command = Command(words, full, time.perf_counter() - begun, found["finished"])
-    folder.write(make_report(Material(plan, results, command)), out)
-    print(f"report: {out / folder.HTML}, {out / folder.MARKDOWN}")
-    print(f"numbers: {out / folder.NUMBERS}")
+    command = report.Command(words, full, time.perf_counter() - begun, found["finished"])
+    report.write(report.make(report.ReportData(plan, results, command)), out)
+    print(f"report: {out / report.HTML}, {out / report.MARKDOWN}")
+    print(f"numbers: {out / report.NUMBERS}")
 
 
 def _train(plan: Plan, runs: Path) -> list[Result]:

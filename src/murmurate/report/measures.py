@@ -1,22 +1,28 @@
-"""What the runs of a report measured, as numbers: for its tables and for report.json alike."""
+"""What the runs of a report measured, as numbers: for its tables and for report.json."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from murmurate.errors import RunError
-from murmurate.plots import Record
+from murmurate.plots import Recording
 from murmurate.report.runs import Result
 
-__all__ = ["REASONS", "Line", "Measures", "Pattern", "fit_line", "measure"]
+__all__ = ["REASONS", "Measures", "Pattern", "measure"]
 
-REASONS = ("collision_free", "mutually_visible", "safe", "gathered", "at_rest")
-"""What a valid pattern needs, as evaluation.json names it."""
+REASONS = {
+    "collision_free": "not collision-free",
+    "mutually_visible": "not visible",
+    "safe": "not safe",
+    "gathered": "not gathered",
+    "at_rest": "not at rest",
+}
+"""The conditions of a valid pattern, as evaluation.json names them, and what an episode is that misses one."""
 
 
 @dataclass(frozen=True)
@@ -24,7 +30,7 @@ class Pattern:
     """Means over all episodes of the configurations at one moment.
 
     Attributes:
-        objective: The paper's C1 or C2, signals of equal weight.
+        objective: The objective.
         visible: The signal `visible`.
     """
 
@@ -34,7 +40,7 @@ class Pattern:
 
 @dataclass(frozen=True)
 class Measures:
-    """One run in numbers; None is what could not be computed or is not known.
+    """One run in numbers; None stands for what could not be computed or is not known.
 
     Attributes:
         run: Name of the run folder.
@@ -49,14 +55,14 @@ class Measures:
         episodes: Episodes of the evaluation.
         valid: Of these, those that ended in a valid pattern.
         valid_interval: Their share, at 95%.
-        lacking: Episodes that lack each of `REASONS`.
-        failures: Places of the episodes that are not valid.
+        lacking: Episodes that miss each of `REASONS`.
+        failures: Indices of the episodes that are not valid.
         base_steps: Mean.
         auxiliary_steps: Mean.
         total_steps: Mean.
         bound_steps: Mean kinematic bound.
         efficiency: bound_steps over total_steps.
-        gap: Objective of the best-known pattern less the one reached, a mean.
+        gap: Objective of the best-known pattern minus the mean of those reached.
         best_known: Objective of the best-known pattern.
         base_pattern: Where the base policy came to rest.
         final_pattern: Where the cascade came to rest.
@@ -133,41 +139,17 @@ def _count(share: float, episodes: int) -> int | None:
 
 
 def _patterns(result: Result) -> tuple[Pattern, Pattern] | tuple[None, None]:
+    """Returns the means where the base policy came to rest, and at the end; nothing where the run cannot be read."""
     try:
-        record = result.record
+        recording = result.recording
     except RunError:
         return None, None
-    switches = record.switch[:, 0] if record.switch.shape[1] else record.lengths
-    return _pattern(record, np.minimum(switches, record.lengths)), _pattern(record, record.lengths)
+    lengths, switch = recording.trajectories.lengths, recording.trajectories.switch
+    first = np.minimum(switch[:, 0], lengths) if switch.shape[1] else lengths
+    return _pattern(recording, first), _pattern(recording, lengths)
 
 
-def _pattern(record: Record, steps: np.ndarray) -> Pattern:
-    signals = record.signals[np.arange(len(steps)), steps]
-    visible = signals[:, record.signal_names.index("visible")]
-    return Pattern(objective=float(signals.sum(axis=1).mean()), visible=float(visible.mean()))
-
-
-@dataclass(frozen=True)
-class Line:
-    """A straight line through points by least squares.
-
-    Attributes:
-        slope: Steps a robot.
-        intercept: Steps.
-        r_squared: Share of the variance that the line explains.
-    """
-
-    slope: float
-    intercept: float
-    r_squared: float
-
-
-def fit_line(robots: Sequence[int], steps: Sequence[float]) -> Line | None:
-    """Fits steps to swarm sizes; None where the points are fewer than three, not finite, or all of one size."""
-    x, y = np.asarray(robots, float), np.asarray(steps, float)
-    if len(x) < 3 or not np.isfinite(y).all() or np.ptp(x) == 0:
-        return None
-    slope, intercept = np.polyfit(x, y, 1)
-    whole = float(((y - y.mean()) ** 2).sum())
-    rest = float(((y - intercept - slope * x) ** 2).sum())
-    return Line(float(slope), float(intercept), 1 - rest / whole if whole else 1.0)
+def _pattern(recording: Recording, steps: np.ndarray) -> Pattern:
+    episodes = np.arange(len(steps))
+    signals = {name: values[episodes, steps] for name, values in recording.trajectories.signals.items()}
+    return Pattern(float(recording.objective(signals).mean()), float(np.mean(signals["visible"])))

@@ -131,7 +131,7 @@ _SIZES = ("robots", "radius", "safe_distance", "scan_radius", "half_width", "hal
 @functools.cache
 def load() -> tuple[BestKnown, ...]:
     """Reads the table of the package."""
-    text = resources.files("murmurate.analysis").joinpath(TABLE).read_text("utf-8")
+    text = resources.files("murmurate.analysis.optimum").joinpath(TABLE).read_text("utf-8")
     return tuple(BestKnown.from_dict(entry) for entry in json.loads(text))
 
 
