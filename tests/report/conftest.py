@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 from murmurate import plots
 from murmurate.report import report
 from murmurate.report import runs as work
+from murmurate.report.data import Command, ReportData
 from murmurate.report.plan import Plan, PlannedRun
 from murmurate.runs.paper import EXPERIMENTS
 from tiny import tiny
@@ -49,7 +50,7 @@ def results(plan, runs):
     return [work.read(planned, runs / planned.name) for planned in plan.runs]
 
 
-COMMAND = report.Command("murmurate reproduce --quick", "murmurate reproduce", seconds=12.3, reused=1)
+COMMAND = Command("murmurate reproduce --quick", "murmurate reproduce", seconds=12.3, reused=1)
 
 
 def blank(patch):
@@ -68,7 +69,7 @@ def written(results, tmp_path_factory):
             if not quick:
                 blank(patch)
             folders[quick] = tmp_path_factory.mktemp("report")
-            data = report.ReportData(make_tiny_plan(quick), results, COMMAND)
+            data = ReportData(make_tiny_plan(quick), results, COMMAND)
             report.write(report.make(data), folders[quick])
     return folders
 

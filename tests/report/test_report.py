@@ -11,8 +11,7 @@ from reading import Page
 
 from murmurate.errors import RunError
 from murmurate.report import report as reports
-from murmurate.report.measures import measure
-from murmurate.report.report import Command, ReportData
+from murmurate.report.data import Command, ReportData, measure
 from murmurate.runs.paper import EXPERIMENTS
 from murmurate.runs.train import NOTHING_VALID
 

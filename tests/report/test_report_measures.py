@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from murmurate.report import tables
-from murmurate.report.measures import Measures, measure
+from murmurate.report.data import Measures, measure
 
 
 def cells(table):

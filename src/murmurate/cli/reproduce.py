@@ -78,6 +78,7 @@ def reproduce(plan: Plan, runs: Path, out: Path, words: str, full: str, begun: f
     """
     from murmurate.report import report
     from murmurate.report import runs as work
+    from murmurate.report.data import Command, ReportData
 
     found = Counter(work.check(plan, runs).values())
     report.check(out)
@@ -85,8 +86,8 @@ def reproduce(plan: Plan, runs: Path, out: Path, words: str, full: str, begun: f
     print(f"{len(plan.runs)} runs in {runs}: {parts}", flush=True)
     results = _train(plan, runs)
     print("drawing the report", flush=True)
-    command = report.Command(words, full, time.perf_counter() - begun, found["finished"])
-    report.write(report.make(report.ReportData(plan, results, command)), out)
+    command = Command(words, full, time.perf_counter() - begun, found["finished"])
+    report.write(report.make(ReportData(plan, results, command)), out)
     print(f"report: {out / report.HTML}, {out / report.MARKDOWN}")
     print(f"numbers: {out / report.NUMBERS}")
 

@@ -6,6 +6,7 @@ The Markdown is the source. A paragraph in italics before a table, or after a pi
 from __future__ import annotations
 
 import base64
+import itertools
 import re
 import struct
 from collections.abc import Mapping
@@ -49,7 +50,7 @@ def to_html(markdown: str, pictures: Mapping[str, bytes], running: str = "") -> 
 def _mark_headings(tokens: list[Token]) -> list[tuple[str, str, str]]:
     """Gives the headings below the title anchors, and returns their level, anchor and text, for the contents."""
     headings, section = [], ""
-    for token, inline in zip(tokens[:-1], tokens[1:], strict=True):
+    for token, inline in itertools.pairwise(tokens):
         if token.type == "heading_open" and token.tag in ("h2", "h3"):
             anchor = re.sub(r"\W+", "-", inline.content.lower()).strip("-")
             if token.tag == "h2":
@@ -91,7 +92,12 @@ def _with_captions(tokens: list[Token]) -> list[Token]:
         if token.type == "table_open":
             tables += 1
             # What scrolls can be reached by keyboard, and has a name.
-            box = {"class": "scroll", "role": "region", "tabindex": "0", "aria-labelledby": f"table-{tables}"}
+            box: dict[str, str | int | float] = {
+                "class": "scroll",
+                "role": "region",
+                "tabindex": "0",
+                "aria-labelledby": f"table-{tables}",
+            }
             if _paragraph(tokens, index - 3) == "caption":
                 result[-3].attrs |= {"class": "caption", "id": f"table-{tables}"}
             result.append(Token("box_open", "div", 1, attrs=box, block=True))

@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 
-from murmurate.report.measures import REASONS, Measures, Pattern
+from murmurate.report.data import REASONS, Measures, Pattern
 from murmurate.runs.paper import EXPERIMENTS
 
 __all__ = [
@@ -102,10 +102,9 @@ def steps_table(experiments: Mapping[str, ByPolicy]) -> str:
             collisions = run.lacking["collision_free"]
             free = None if collisions is None else run.episodes - collisions
             gap = f"{100 * run.gap / run.best_known:.2f} %" if run.gap is not None and run.best_known else NONE
-            rows.append(
-                (name, str(paper.robots), run.policy, *(_number(value) for value in steps))
-                + (_number(run.efficiency, 2), _of(run.valid, run), _of(free, run), *((gap,) if with_gap else ()))
-            )
+            counts = (_of(run.valid, run), _of(free, run), *((gap,) if with_gap else ()))
+            cells = (*(_number(value) for value in steps), _number(run.efficiency, 2), *counts)
+            rows.append((name, str(paper.robots), run.policy, *cells))
     text = (
         "The paper's Table IV, average steps to form a pattern, and below each row ours: means over all episodes, "
         "valid or not."
@@ -116,7 +115,9 @@ def steps_table(experiments: Mapping[str, ByPolicy]) -> str:
 def patterns_table(experiments: Mapping[str, ByPolicy]) -> str:
     """What the auxiliary policies add to the patterns of the base policy."""
 
-    def change(base: Pattern, final: Pattern, name: str) -> tuple[str, str, str]:
+    def change(base: Pattern | None, final: Pattern | None, name: str) -> tuple[str, str, str]:
+        if base is None or final is None:
+            return NONE, NONE, NONE
         before, after = getattr(base, name), getattr(final, name)
         return f"{before:.3f}", f"{after:.3f}", f"{after - before:+.3f}"
 
@@ -124,9 +125,7 @@ def patterns_table(experiments: Mapping[str, ByPolicy]) -> str:
     for name, runs in experiments.items():
         for run in runs.values():
             base, final = run.base_pattern, run.final_pattern
-            known = base is not None and final is not None
-            changes = (*change(base, final, "objective"), *change(base, final, "visible")) if known else (NONE,) * 6
-            rows.append((name, run.policy, *changes))
+            rows.append((name, run.policy, *change(base, final, "objective"), *change(base, final, "visible")))
     header = ("experiment", "policy", "objective: base", "final", "change", "visible: base", "final", "change")
     text = (
         "What the auxiliary policies add: the objective (at most 4) and its signal `visible` (1 where every robot sees "

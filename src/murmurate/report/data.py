@@ -1,19 +1,22 @@
-"""What the runs of a report measured, as numbers: for its tables and for report.json."""
+"""What a report is made of: finished runs, and what they measured as numbers, for its tables and report.json."""
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from murmurate.analysis.measures import Line, fit_line
 from murmurate.errors import RunError
 from murmurate.plots import Recording
+from murmurate.report.plan import Plan
 from murmurate.report.runs import Result
 
-__all__ = ["REASONS", "Measures", "Pattern", "measure"]
+__all__ = ["REASONS", "Command", "Machine", "Measures", "Pattern", "ReportData", "measure"]
 
 REASONS = {
     "collision_free": "not collision-free",
@@ -153,3 +156,106 @@ def _pattern(recording: Recording, steps: np.ndarray) -> Pattern:
     episodes = np.arange(len(steps))
     signals = {name: values[episodes, steps] for name, values in recording.trajectories.signals.items()}
     return Pattern(float(recording.objective(signals).mean()), float(np.mean(signals["visible"])))
+
+
+@dataclass(frozen=True)
+class Command:
+    """The command that makes a report.
+
+    Attributes:
+        words: The command line.
+        full: The command line of the full report.
+        seconds: How long it ran.
+        reused: How many runs were finished before it.
+    """
+
+    words: str
+    full: str
+    seconds: float
+    reused: int
+
+
+@dataclass(frozen=True)
+class Machine:
+    """What runs were made with; runs of two machines, or of two versions, are not quite alike.
+
+    Attributes:
+        platform: Operating system and processor.
+        device: What JAX computed on.
+        murmurate: Version.
+        versions: Versions of the packages that the numbers depend on.
+    """
+
+    platform: str
+    device: str
+    murmurate: str
+    versions: tuple[tuple[str, str], ...]
+
+    @classmethod
+    def from_manifest(cls, manifest: Mapping[str, object]) -> Machine:
+        """Returns the machine that a run's manifest names."""
+        versions = manifest["versions"]
+        pairs = sorted(versions.items()) if isinstance(versions, Mapping) else []
+        names = [str(manifest.get(name, "unknown")) for name in ("platform", "device", "murmurate")]
+        return cls(*names, versions=tuple((str(package), str(version)) for package, version in pairs))
+
+
+@dataclass(frozen=True)
+class ReportData:
+    """Everything that a report is made of.
+
+    Attributes:
+        plan: The plan.
+        results: The finished runs, in the order of the plan.
+        command: The command that makes the report.
+    """
+
+    plan: Plan
+    results: Sequence[Result]
+    command: Command
+
+    @functools.cached_property
+    def measures(self) -> dict[str, Measures]:
+        """The numbers of every run, by its name."""
+        return {result.planned.name: measure(result) for result in self.results}
+
+    @functools.cached_property
+    def experiments(self) -> dict[str, dict[str, Measures]]:
+        """The numbers of the paper's experiments, by experiment and training preset."""
+        return {
+            name: {preset: self.measures[run.name] for preset, run in runs.items()}
+            for name, runs in self.plan.experiments.items()
+        }
+
+    @functools.cached_property
+    def sizes(self) -> dict[str, dict[int, Measures]]:
+        """The numbers of the study of swarm sizes, by start and number of robots."""
+        return {
+            start: {robots: self.measures[run.name] for robots, run in runs.items()}
+            for start, runs in self.plan.sizes.items()
+        }
+
+    @functools.cached_property
+    def lines(self) -> dict[str, tuple[Line | None, Line | None]]:
+        """Straight lines through formation steps and through kinematic bounds, by start."""
+        return {
+            start: (
+                fit_line(list(runs), [run.total_steps for run in runs.values()]),
+                fit_line(list(runs), [run.bound_steps for run in runs.values()]),
+            )
+            for start, runs in self.sizes.items()
+        }
+
+    @functools.cached_property
+    def machines(self) -> dict[str, Machine]:
+        """What each run was made with, by its name."""
+        return {result.planned.name: Machine.from_manifest(result.manifest) for result in self.results}
+
+    def recording(self, experiment: str, preset: str) -> Recording:
+        """Returns the run of one of the paper's experiments.
+
+        Raises:
+            RunError: It cannot be read.
+        """
+        name = self.plan.experiments[experiment][preset].name
+        return next(result for result in self.results if result.planned.name == name).recording
