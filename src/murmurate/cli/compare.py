@@ -80,9 +80,11 @@ def _runs(options: Namespace, sensings: Sequence[str]) -> dict[str, dict[str, Ru
     given: dict[str, dict[str, Run]] = {}
     for word in options.runs:
         opened = Run.open(word)
-        kind = opened.experiment.policy.kind
-        if kind != "local":
-            raise InputError("policy.kind", kind, f"local, to be compared by what its robots perceive: {word} is not")
+        policy = opened.experiment.policy
+        if not policy.perceives:
+            raise InputError(
+                "policy.use", policy.name, f"local, to be compared by what its robots perceive: {word} is not"
+            )
         name = Path(word).name
         if name in given:
             raise InputError("RUN", word, f"of another name than the others: {name} is there already")

@@ -39,7 +39,7 @@ def run(argv: Sequence[str]) -> int:
     _join(options)
     overlay = read_toml(options.config) if options.config else {}
     config = presets.resolve(options.experiment, overlay, flags, learner=options.learner)
-    name = f"{config.name}-{options.learner or config.policy.kind}"
+    name = f"{config.name}-{options.learner or config.policy.name}"
     if options.seeds is not None or options.vary:
         from murmurate.cli.many import discover_many, variants
 
@@ -85,7 +85,7 @@ def _parser(shown: str) -> Parser:
     parser.add_argument("--host", type=int, metavar="INT", help="which of them this is, from 0, which keeps the run")
     text = "where the first of them listens, a free port of its own"
     parser.add_argument("--coordinator", metavar="HOST:PORT", help=text)
-    parser.add_fields(presets.preset(shown), aliases={"policy.kind": "--policy"})
+    parser.add_fields(presets.preset(shown), aliases={"policy.use": "--policy"})
     parser.epilog = f"Defaults are those of experiment {shown} with the {presets.DEFAULT_LEARNER} learner."
     return parser
 

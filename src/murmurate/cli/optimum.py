@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from murmurate.cli.arguments import Parser
-from murmurate.errors import RunError
+from murmurate.errors import InputError, RunError
 from murmurate.runs.paper import EXPERIMENTS, check_experiment
 
 if TYPE_CHECKING:
@@ -29,6 +29,8 @@ def run(argv: Sequence[str]) -> int:
     from murmurate.runs import config_io, presets
 
     found = presets.resolve(word or "C")
+    if found.objective == "custom":
+        raise InputError("objective", found.objective, "C1 or C2")
     config = OptimumConfig(found.world, found.objective)
     text = "Searches for the best formation in the world of an experiment; without any word, lists the best known."
     parser = Parser("optimum", "[EXPERIMENT]", text)

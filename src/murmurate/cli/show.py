@@ -75,11 +75,11 @@ def _form_patterns(
     """Lets the package's weights form patterns, keeps them as a run unless only an animation is wanted, and draws."""
     from murmurate import plots, pretrained
     from murmurate.runs.evaluate import evaluate
-    from murmurate.world import StartConfig
+    from murmurate.world import Start
 
     check_choice("start", start, STARTS)
     run = pretrained(objective, sensing, scheduler).of_size(robots)
-    run = run.under(replace(run.experiment, sizes=(), start=StartConfig(kind=start)))
+    run = run.under(replace(run.experiment, sizes=(), start=Start.registered()[start]()))
     evaluation = evaluate(run, EPISODES, seed)
     valid = int(evaluation.validity.valid.sum())
     summary = f"{robots} robots, {EPISODES} starts: {valid} ended in a valid pattern"

@@ -1,23 +1,41 @@
 """Algorithms 1 and 2: base and auxiliary policies, the cascade that executes them, and what counts as valid."""
 
-from murmurate.discovery.algorithm import Discovery, Snapshot, advance_together, policy_name
-from murmurate.discovery.cascade import Cascade, RestRule, Trajectories
-from murmurate.discovery.config import DiscoveryConfig, StageConfig
-from murmurate.discovery.problem import Problem
+from murmurate.discovery.build import (
+    build_cascade,
+    build_environment,
+    build_networks,
+    build_world,
+    check_parts,
+    policy_templates,
+)
+from murmurate.discovery.cascade import Cascade, RestRule
+from murmurate.discovery.curriculum import Curriculum
+from murmurate.discovery.problem import DiscoveryConfig, Problem, StageConfig
+from murmurate.discovery.search import Search, Snapshot, advance_together
+from murmurate.discovery.stage import Stage, policy_name
 from murmurate.discovery.validity import Validity, bound_steps, check_validity
+from murmurate.types import Trajectories
 
 __all__ = [
     "Cascade",
-    "Discovery",
+    "Curriculum",
     "DiscoveryConfig",
     "Problem",
     "RestRule",
+    "Search",
     "Snapshot",
+    "Stage",
     "StageConfig",
     "Trajectories",
     "Validity",
     "advance_together",
     "bound_steps",
+    "build_cascade",
+    "build_environment",
+    "build_networks",
+    "build_world",
+    "check_parts",
     "check_validity",
     "policy_name",
+    "policy_templates",
 ]

@@ -1,4 +1,4 @@
-"""The policy list as it is executed: each acts until the swarm is at rest, then the next; then all hold still."""
+"""The policy list as it is executed: each policy acts until the swarm is at rest; then all robots hold still."""
 
 from __future__ import annotations
 
@@ -12,9 +12,13 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from murmurate.errors import GREATEST, MOST, check_number
-from murmurate.world import LocalObservation, SchedulerWrapper, World, epochs_of
+from murmurate.types import Trajectories
+from murmurate.world import World, Wrapper
 
-__all__ = ["Cascade", "RestRule", "Trajectories"]
+__all__ = ["Cascade", "RestRule"]
+
+CHUNK = 50
+"""Steps between two checks whether every episode has ended."""
 
 
 @dataclass(frozen=True)
@@ -23,7 +27,7 @@ class RestRule:
 
     Attributes:
         window: Steps over which the mean |step reward| is taken.
-        tolerance: Rest is a mean below this; the reward is the objective's change, all weights as the paper's.
+        tolerance: Rest is a mean below this; the reward is the objective's change, with the signals' own weights.
         switch_tolerance: The same for a policy that another one follows: it need not settle what that one moves again.
         max_steps: Steps after which a policy that does not come to rest is cut off.
     """
@@ -40,62 +44,53 @@ class RestRule:
             check_number(name, getattr(self, name), 0, GREATEST, exclusive_low=True)
 
 
-@dataclass(frozen=True)
-class Trajectories:
-    """Episodes of a cascade; after its length an episode holds still.
+class _Status(eqx.Module):
+    """The state of the cascade in each episode of the batch.
 
     Attributes:
-        positions: Centres, world units.
-        lengths: Formation steps: steps until the cascade was at rest, terminated or cut off.
-        switch: Steps at which each later policy took over; the length where it never did.
+        state: State of the environment.
+        active_policy: Place in the list of the policy that acts; the number of policies when all are done.
+        steps_active: Steps for which it has acted.
+        recent_changes: Its last changes of the objective.
+        length: Steps so far.
+        switch: Steps at which each policy ended.
         at_rest: Whether the last policy came to rest.
-        terminated: Whether the episode ended in a collision or outside the world.
-        signals: Signals by name.
-        epochs: Epochs until then: in each, every robot completed a cycle of looking and moving.
+        terminated: Whether the episode ended in contact or outside the world.
+        epochs: Epochs so far.
     """
 
-    positions: Float[np.ndarray, "episodes steps_and_one robots 2"]
-    lengths: Int[np.ndarray, " episodes"]
-    switch: Int[np.ndarray, "episodes later_policies"]
-    at_rest: Bool[np.ndarray, " episodes"]
-    terminated: Bool[np.ndarray, " episodes"]
-    signals: dict[str, Float[np.ndarray, "episodes steps_and_one"]]
-    epochs: Int[np.ndarray, " episodes"]
-
-    @property
-    def final(self) -> Float[np.ndarray, "episodes robots 2"]:
-        """The configurations at the end."""
-        return self.positions[:, -1]
-
-
-class _Status(eqx.Module):
-    """Where the cascade stands in each episode of the batch."""
-
     state: Any
-    charge: Int[Array, " batch"]
-    since: Int[Array, " batch"]
-    changes: Float[Array, "window batch"]
+    active_policy: Int[Array, " batch"]
+    steps_active: Int[Array, " batch"]
+    recent_changes: Float[Array, "window batch"]
     length: Int[Array, " batch"]
     switch: Int[Array, "policies batch"]
     at_rest: Bool[Array, " batch"]
     terminated: Bool[Array, " batch"]
     epochs: Int[Array, " batch"]
 
-    def active(self) -> Bool[Array, " batch"]:
-        """Says which episodes still move."""
-        return (self.charge < self.switch.shape[0]) & ~self.terminated
-
-
-CHUNK = 50
-"""Steps between two looks at whether every episode has ended."""
+    def moving(self) -> Bool[Array, " batch"]:
+        """Returns which episodes have not ended."""
+        return (self.active_policy < self.switch.shape[0]) & ~self.terminated
 
 
 class Cascade(eqx.Module):
-    """A list of policies, executed one after another in a world."""
+    """A list of policies, executed one after another in an environment.
+
+    Attributes:
+        policies: The policies; each maps an observation to velocities.
+        env: The world as the policies act in it: with its scheduler, sensing and shield.
+        rest: When a policy has come to rest, in steps.
+    """
 
     policies: tuple[Any, ...]
-    world: World | SchedulerWrapper | LocalObservation
+    env: World | Wrapper
     rest: RestRule = eqx.field(static=True)
+
+    @property
+    def world(self) -> World:
+        """The world inside all wrappers."""
+        return self.env.unwrapped if isinstance(self.env, Wrapper) else self.env
 
     def rollout(self, starts: Float[np.ndarray, "episodes robots 2"], seed: int = 0) -> Trajectories:
         """Executes the cascade from the given configurations, always with the most likely action.
@@ -107,15 +102,17 @@ class Cascade(eqx.Module):
         Returns:
             What happened, until the last episode ended.
         """
-        status, first = _begin(self, jnp.moveaxis(jnp.asarray(starts, jnp.float32), 0, -1), jnp.asarray(seed))
+        status, first = _begin(
+            self, jnp.moveaxis(jnp.asarray(starts, jnp.float32), 0, -1), jnp.asarray(seed, jnp.uint32)
+        )
         parts = [jax.device_get(first)]
-        while bool(jnp.any(status.active())):
+        while bool(jnp.any(status.moving())):
             status, part = _advance(self, status)
             parts.append(jax.device_get(part))
         lengths = np.asarray(status.length)
         steps = int(lengths.max()) + 1
         positions = np.concatenate([p for p, _ in parts])[:steps]
-        names = list(parts[0][1])
+        names = self.world.objective.names
         return Trajectories(
             positions=np.ascontiguousarray(np.moveaxis(positions, -1, 0)),
             lengths=lengths.astype(np.int32),
@@ -132,12 +129,19 @@ def _begin(
     cascade: Cascade, positions: Float[Array, "robots 2 batch"], seed: Int[Array, ""]
 ) -> tuple[_Status, tuple[Array, Any]]:
     batch = positions.shape[-1]
-    none = jnp.zeros(batch, jnp.int32)
-    no = jnp.zeros(batch, bool)
-    # Of a stated type, not a weak one: the next call would be compiled once more.
-    changes = jnp.full((cascade.rest.window, batch), jnp.inf, jnp.float32)
-    switch = jnp.zeros((len(cascade.policies), batch), jnp.int32)
-    status = _Status(cascade.world.state(positions, seed), none, none, changes, none, switch, no, no, none)
+    zero, false = jnp.zeros(batch, jnp.int32), jnp.zeros(batch, bool)
+    status = _Status(
+        state=cascade.env.state(positions, seed),
+        active_policy=zero,
+        steps_active=zero,
+        # Of a stated type, not a weak one: the next call would be compiled once more.
+        recent_changes=jnp.full((cascade.rest.window, batch), jnp.inf, jnp.float32),
+        length=zero,
+        switch=jnp.zeros((len(cascade.policies), batch), jnp.int32),
+        at_rest=false,
+        terminated=false,
+        epochs=zero,
+    )
     first = (positions, cascade.world.signals(positions))
     return status, jax.tree.map(lambda x: x[None], first)
 
@@ -148,33 +152,33 @@ def _advance(cascade: Cascade, status: _Status) -> tuple[_Status, tuple[Array, d
 
 
 def _step(cascade: Cascade, status: _Status) -> tuple[_Status, tuple[Array, dict[str, Array]]]:
-    rest, active = cascade.rest, status.active()
-    observation = cascade.world.observe(status.state)
+    rest, moving = cascade.rest, status.moving()
+    observation = cascade.env.observe(status.state)
     velocities = jnp.zeros_like(status.state.positions)
     for index, policy in enumerate(cascade.policies):
-        velocities = jnp.where(active & (status.charge == index), policy(observation), velocities)
-    after, transition = cascade.world.step(status.state, velocities)
-    length = status.length + active
-    terminated = status.terminated | (active & transition.terminated)
-    changes = jnp.concatenate([status.changes[1:], jnp.abs(after.objective - status.state.objective)[None]])
-    since = status.since + active
-    last = status.charge == len(cascade.policies) - 1
-    tolerance = jnp.where(last, rest.tolerance, rest.switch_tolerance)
-    rested = active & (changes.mean(axis=0) < tolerance) & ~terminated
-    over = rested | (active & (since >= rest.max_steps))
-    charge = status.charge + over
-    # The policy in charge was still at work at this step; the next one, if any, takes over after it.
-    number = jnp.arange(len(cascade.policies))[:, None]
-    switch = jnp.where(active & (number >= status.charge), length, status.switch)
+        velocities = jnp.where(moving & (status.active_policy == index), policy(observation), velocities)
+    after, transition = cascade.env.step(status.state, velocities)
+    length = status.length + moving
+    terminated = status.terminated | (moving & transition.terminated)
+    change = jnp.abs(after.objective - status.state.objective)
+    recent_changes = jnp.concatenate([status.recent_changes[1:], change[None]])
+    steps_active = status.steps_active + moving
+    is_last = status.active_policy == len(cascade.policies) - 1
+    tolerance = jnp.where(is_last, rest.tolerance, rest.switch_tolerance)
+    rested = moving & (recent_changes.mean(axis=0) < tolerance) & ~terminated
+    over = rested | (moving & (steps_active >= rest.max_steps))
+    # The active policy was still at work at this step; the next one, if any, takes over after it.
+    place = jnp.arange(len(cascade.policies))[:, None]
+    switch = jnp.where(moving & (place >= status.active_policy), length, status.switch)
     status = _Status(
         state=after,
-        charge=charge,
-        since=jnp.where(over, 0, since),
-        changes=jnp.where(over, jnp.inf, changes),
+        active_policy=status.active_policy + over,
+        steps_active=jnp.where(over, 0, steps_active),
+        recent_changes=jnp.where(over, jnp.inf, recent_changes),
         length=length,
         switch=switch,
-        at_rest=status.at_rest | (rested & last),
+        at_rest=status.at_rest | (rested & is_last),
         terminated=terminated,
-        epochs=jnp.where(active, epochs_of(after), status.epochs),
+        epochs=jnp.where(moving, after.epochs, status.epochs),
     )
     return status, (after.positions, transition.signals)

@@ -1,57 +1,189 @@
-"""What is to be discovered, and how; the same for swarms of other sizes."""
+"""What is to be discovered, and how: the problem, its stages, and the same problem for swarms of other sizes."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Self
 
 from murmurate.discovery.cascade import RestRule
-from murmurate.discovery.config import DiscoveryConfig, StageConfig
-from murmurate.policies import PolicyConfig
-from murmurate.world import SchedulerConfig, SensingConfig, StartConfig, World, WorldConfig, make_start, scaled_to
+from murmurate.errors import GREATEST, MOST, InputError, check_number
+from murmurate.learning import PPOConfig
+from murmurate.policies import NoShield, Policy, Shield
+from murmurate.world import (
+    FsyncScheduler,
+    GlobalSensing,
+    Scheduler,
+    Sensing,
+    Signal,
+    Start,
+    WorldConfig,
+    objective_signals,
+    scaled_to,
+)
 
-__all__ = ["Problem"]
+__all__ = ["GATHERING", "DiscoveryConfig", "Problem", "StageConfig"]
+
+GATHERING = "gathering"
+"""In weights, the gathering signal of either objective: close (C1) or nclose (C2)."""
+
+
+@dataclass(frozen=True)
+class StageConfig:
+    """How one policy of the list is trained (the paper's Algorithm 1).
+
+    Attributes:
+        weights: Weights of the signals in this policy's reward, by name; gathering stands for close (C1) or nclose
+            (C2).
+        ppo: Numbers of the learner; its discount is the paper's F_gamma at this policy.
+        horizon: Steps after which a training episode is truncated.
+        repeat: Steps for which each action is kept up in training; the trained policy acts at every step.
+        noise: Half-width of the uniform noise on each restart configuration, in robot radii (auxiliary only).
+        random_share: Share of training episodes that begin anywhere, in two windows, instead of at the start (base
+            only).
+        random_spread: Each of the windows takes at least this share of the world's sides.
+        symmetric_share: Share of all training episodes that begin exactly symmetric: as a polygon, line, grid or rings
+            of random width and direction (base only).
+        margin: Robots are trained as if their radius and safe distance were larger by this share, so that patterns hold
+            with room to spare.
+        warm_start: Whether the policy begins with the weights of the one before, all but the spread of its actions
+            (auxiliary only); its value network is new.
+    """
+
+    weights: Mapping[str, float] = field(default_factory=dict)
+    ppo: PPOConfig = field(default_factory=PPOConfig)
+    horizon: int = 120
+    repeat: int = 1
+    noise: float = 0.25
+    random_share: float = 0.5
+    random_spread: float = 0.05
+    symmetric_share: float = 0.0
+    margin: float = 0.0
+    warm_start: bool = False
+
+    def __post_init__(self) -> None:
+        for name, weight in self.weights.items():
+            check_number(f"weights.{name}", weight, 0, GREATEST)
+        for name in ("horizon", "repeat"):
+            check_number(name, getattr(self, name), 1, MOST, integer=True)
+        check_number("noise", self.noise, 0, GREATEST)
+        check_number("margin", self.margin, 0, 10)
+        check_number("random_share", self.random_share, 0, 1)
+        check_number("symmetric_share", self.symmetric_share, 0, 1)
+        check_number("random_spread", self.random_spread, 0, 1, exclusive_low=True)
+
+    @property
+    def steps_per_update(self) -> int:
+        """Steps of the environment in one update."""
+        return self.ppo.worlds * self.ppo.steps * self.repeat
+
+
+@dataclass(frozen=True)
+class DiscoveryConfig:
+    """How the list of policies grows (the paper's Algorithm 2).
+
+    Attributes:
+        min_policies: Policies trained in any case: the base policy and, by the paper, one auxiliary.
+        max_policies: Policies after which the search ends, valid or not.
+        required_valid: The list is complete when at least this share of fresh episodes forms a valid pattern.
+        sigma: Size of the set of initial configurations sigma.
+        episodes: Fresh episodes by which the list is evaluated after each policy.
+        chunk: Updates between two visits to the host: progress, metrics, checkpoint.
+    """
+
+    min_policies: int = 2
+    max_policies: int = 3
+    required_valid: float = 0.995
+    sigma: int = 512
+    episodes: int = 256
+    chunk: int = 5
+
+    def __post_init__(self) -> None:
+        for name in ("min_policies", "max_policies", "sigma", "episodes", "chunk"):
+            check_number(name, getattr(self, name), 1, MOST, integer=True)
+        if self.max_policies < self.min_policies:
+            raise InputError("max_policies", self.max_policies, f"at least min_policies = {self.min_policies}")
+        check_number("required_valid", self.required_valid, 0, 1)
 
 
 @dataclass(frozen=True)
 class Problem:
-    """What is to be discovered, and how; an experiment without its bookkeeping.
+    """What is to be discovered, and how: an experiment without its name.
 
     Attributes:
-        world: Sizes.
-        objective: C1 or C2.
+        world: Sizes of the world and its robots.
+        objective: C1 (gathering at the origin), C2 (at no predefined point) or custom (the signals below alone).
         start: Where episodes begin: the paper's (S_0, epsilon).
-        policy: Which networks.
+        policy: Which networks are trained.
         base: How the first policy is trained.
-        auxiliary: How each later one is.
+        auxiliary: How each later policy is trained.
         discovery: How the list grows.
         rest: When a policy has come to rest.
         seed: Seed of everything random.
-        sensing: What robots perceive, where each acts on that alone (the policy local).
+        signals: Signals of the objective besides those that it is named after, or in their place, by name.
+        valid: Least values of signals that a valid pattern must reach, by name.
+        sensing: What robots perceive, where each acts on that alone (policies such as local).
         scheduler: When robots look and move.
-        sizes: Swarm sizes among which training goes about, each in a world grown to it; none: the world's own alone.
+        shield: What shortens the robots' moves.
+        sizes: Swarm sizes among which training alternates, each in a world scaled to it; none: the world's own alone.
     """
 
     world: WorldConfig
     objective: str
-    start: StartConfig
-    policy: PolicyConfig
+    start: Start
+    policy: Policy
     base: StageConfig
     auxiliary: StageConfig
     discovery: DiscoveryConfig
     rest: RestRule
     seed: int
-    sensing: SensingConfig = field(default_factory=SensingConfig, kw_only=True)
-    scheduler: SchedulerConfig = field(default_factory=SchedulerConfig, kw_only=True)
+    signals: Mapping[str, Signal] = field(default_factory=dict, kw_only=True)
+    valid: Mapping[str, float] = field(default_factory=dict, kw_only=True)
+    sensing: Sensing = field(default_factory=GlobalSensing, kw_only=True)
+    scheduler: Scheduler = field(default_factory=FsyncScheduler, kw_only=True)
+    shield: Shield = field(default_factory=NoShield, kw_only=True)
     sizes: tuple[int, ...] = field(default=(), kw_only=True)
 
+    @property
+    def objective_signals(self) -> dict[str, Signal]:
+        """The signals of the objective by name, in the order in which they are recorded.
+
+        Raises:
+            InputError: The objective has no signal.
+        """
+        return objective_signals(self.objective, self.signals)
+
+    @property
+    def signal_names(self) -> tuple[str, ...]:
+        """The names of the objective's signals, in the order in which they are recorded."""
+        return tuple(self.objective_signals)
+
+    @property
+    def thresholds(self) -> dict[str, tuple[Signal, float]]:
+        """The signals that a valid pattern must reach, with their least values, by name."""
+        signals = self.objective_signals
+        return {name: (signals[name], least) for name, least in self.valid.items()}
+
+    @property
+    def landmark(self) -> bool:
+        """Whether the gathering point is known: whether the objective counts closeness to the origin."""
+        return "close" in self.signal_names
+
     def stage(self, index: int) -> StageConfig:
-        """Returns how the policy of that place in the list is trained."""
+        """Returns how the policy at a place in the list is trained."""
         return self.base if index == 0 else self.auxiliary
 
+    def weights(self, index: int) -> dict[str, float]:
+        """Returns the weights of the signals in the reward of the policy at a place in the list."""
+        given, weights = self.stage(index).weights, {}
+        for name, signal in self.objective_signals.items():
+            gathering = given.get(GATHERING) if name in ("close", "nclose") else None
+            weights[name] = given.get(name, signal.weight if gathering is None else gathering)
+        return weights
+
     def of_size(self, robots: int) -> Self:
-        """Returns the same problem for a swarm of another size, in a world grown to it.
+        """Returns the same problem for a swarm of another size, in a world scaled to it.
 
         In a larger world the objective changes by less where robots move as far: what counts as rest is as much less,
         must last as much longer, and there is as much more time to come to it.
@@ -78,21 +210,3 @@ class Problem:
         """
         period = self.scheduler.period
         return replace(self.rest, window=self.rest.window * period, max_steps=self.rest.max_steps * period)
-
-    def parts(self) -> list[Self]:
-        """Returns the problem for each swarm size that training goes about, with as much to learn from in an update."""
-        ppo, config = self.base.ppo, self.discovery
-        found = []
-        for robots in self.sizes:
-            # As many robots in all, but no more worlds than half as many again: their steps cost something too.
-            share = min(self.world.robots / robots, 1.5)
-            worlds = max(round(share * ppo.worlds / ppo.minibatches), 1) * ppo.minibatches
-            part = self.of_size(robots)
-            base = replace(part.base, ppo=replace(ppo, worlds=worlds))
-            episodes = math.ceil(config.episodes / len(self.sizes))
-            found.append(replace(part, base=base, discovery=replace(config, episodes=episodes)))
-        return found
-
-    def evaluation_world(self) -> World:
-        """Builds the world with the experiment's start and all weights 1, as evaluation measures it."""
-        return World.create(self.world, make_start(self.start, self.world), self.objective)

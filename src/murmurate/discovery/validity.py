@@ -1,71 +1,102 @@
-"""Is what was reached a valid pattern, and how well was it reached? All in float64, from recorded positions alone."""
+"""Whether what was reached is a valid pattern, and how fast any controller could have reached it.
+
+Everything is computed in float64 from recorded positions alone.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import maximum_bipartite_matching
 
-from murmurate.discovery.cascade import Trajectories
 from murmurate.geometry import collides, distances, leaves, neighbors_and_visible
-from murmurate.world import WorldConfig
+from murmurate.types import Trajectories
+from murmurate.world import Configuration, Signal, WorldConfig
 
 __all__ = ["Validity", "bound_steps", "check_validity"]
 
+Flags = Bool[np.ndarray, " episodes"]
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, eq=False)
 class Validity:
-    """What holds of each episode (design: valid pattern).
+    """Which conditions of a valid pattern hold in each episode.
 
     Attributes:
-        collision_free: No two discs touched at any moment, and nobody left the world.
-        mutually_visible: Every robot sees every other at the end (as a neighbour that nobody occludes).
+        contact_free: No two discs touched at any moment.
+        inside: No robot left the world.
+        mutually_visible: Every robot sees every other at the end (as a neighbour that nothing occludes).
         gathered: Every robot neighbours every other at the end.
         safe: No pair is nearer than the safe distance at the end.
         at_rest: The last policy came to rest.
+        signals: Whether each signal with a threshold reaches it at the end, by name.
     """
 
-    collision_free: Bool[np.ndarray, " episodes"]
-    mutually_visible: Bool[np.ndarray, " episodes"]
-    gathered: Bool[np.ndarray, " episodes"]
-    safe: Bool[np.ndarray, " episodes"]
-    at_rest: Bool[np.ndarray, " episodes"]
+    contact_free: Flags
+    inside: Flags
+    mutually_visible: Flags
+    gathered: Flags
+    safe: Flags
+    at_rest: Flags
+    signals: Mapping[str, Flags] = field(default_factory=dict)
 
     @property
-    def valid(self) -> Bool[np.ndarray, " episodes"]:
-        """All of them together: a valid pattern."""
-        return self.collision_free & self.mutually_visible & self.gathered & self.safe & self.at_rest
+    def valid(self) -> Flags:
+        """Whether all of them hold: a valid pattern."""
+        conditions = [self.contact_free, self.inside, self.mutually_visible, self.gathered, self.safe, self.at_rest]
+        return np.logical_and.reduce([*conditions, *self.signals.values()])
 
 
-def check_validity(trajectories: Trajectories, world: WorldConfig) -> Validity:
-    """Judges every episode by its recorded positions."""
+def check_validity(
+    trajectories: Trajectories, world: WorldConfig, thresholds: Mapping[str, tuple[Signal, float]] | None = None
+) -> Validity:
+    """Returns which conditions of a valid pattern hold in each recorded episode.
+
+    Args:
+        trajectories: The episodes.
+        world: Sizes of the world and its robots.
+        thresholds: Signals with the least values that a valid pattern must reach, by name; see `Problem.thresholds`.
+    """
     final = np.moveaxis(trajectories.final.astype(float), 0, -1)
     others = ~np.eye(world.robots, dtype=bool)
     near, seen = (flags[others].all(axis=0) for flags in neighbors_and_visible(final, world.radius, world.scan_radius))
+    contact_free, inside = _contact_free_and_inside(trajectories.positions, world)
+    configuration = Configuration(final, world)
     return Validity(
-        collision_free=_collision_free(trajectories.positions, world),
+        contact_free=contact_free,
+        inside=inside,
         mutually_visible=seen,
         gathered=near,
         safe=(distances(final)[others] >= world.safe_distance).all(axis=0),
         at_rest=trajectories.at_rest,
+        signals={
+            name: np.asarray(signal.value(configuration)) >= least
+            for name, (signal, least) in (thresholds or {}).items()
+        },
     )
 
 
-def _collision_free(positions: Float[np.ndarray, "episodes time robots 2"], world: WorldConfig) -> np.ndarray:
-    free = np.ones(positions.shape[0], bool)
+def _contact_free_and_inside(
+    positions: Float[np.ndarray, "episodes time robots 2"], world: WorldConfig
+) -> tuple[Flags, Flags]:
+    """Follows every step along its straight lines; both hold only where no position is NaN."""
+    contact_free, inside = np.ones(positions.shape[0], bool), np.ones(positions.shape[0], bool)
+    # Step by step, because all positions in float64 would take twice the memory of the record.
     now = np.moveaxis(positions[:, 0].astype(float), 0, -1)
     for step in range(1, positions.shape[1]):
         after = np.moveaxis(positions[:, step].astype(float), 0, -1)
-        free &= ~collides(now, after - now, world.radius) & ~leaves(after, world.half_width, world.half_height)
+        contact_free &= ~collides(now, after - now, world.radius)
+        inside &= ~leaves(after, world.half_width, world.half_height)
         now = after
-    return free
+    return contact_free, inside
 
 
 def bound_steps(start: Float[np.ndarray, "robots 2"], final: Float[np.ndarray, "robots 2"], max_speed: float) -> float:
-    """The kinematic bound: the fewest steps in which any controller gets from a start to a pattern.
+    """Returns the kinematic bound: the fewest steps in which any controller gets from a start to a pattern.
 
     Robots are interchangeable and each velocity component is bounded, so it is the bottleneck assignment of the
     max-component distances, over the speed limit.

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, PyTree, UInt32
 
-from murmurate.world import Start
+from murmurate.world import Start, WorldConfig
 
 __all__ = ["Episodes", "Outcome"]
 
@@ -75,7 +75,7 @@ class Episodes:
         """
         start, seed = rng.integers(2**32, size=2, dtype=np.uint32)
         if positions is None:
-            positions = _drawn(self._env.start, start, len(self.over))
+            positions = _drawn(self._env.start, self._env.config, start, len(self.over))
         state, shown = _begun(self._look, self._env, positions, seed)
         if which is None:
             self._state, self._shown, self.over = state, shown, np.zeros_like(self.over)
@@ -117,9 +117,9 @@ def _batch_first(tree: PyTree[Array]) -> PyTree[Array]:
     return jax.tree.map(lambda leaf: jnp.moveaxis(leaf, -1, 0), tree)
 
 
-@partial(jax.jit, static_argnums=2)
-def _drawn(start: Start, seed: UInt32[Array, ""], batch: int) -> Float[Array, "batch robots 2"]:
-    return _batch_first(start.sample(jax.random.key(seed), batch))
+@partial(jax.jit, static_argnums=3)
+def _drawn(start: Start, world: WorldConfig, seed: UInt32[Array, ""], batch: int) -> Float[Array, "batch robots 2"]:
+    return start.sample(jax.random.key(seed), batch, world)
 
 
 @partial(jax.jit, static_argnums=0)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Any, Literal, get_args
+from typing import Any, Literal, cast, get_args
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -12,21 +13,19 @@ from jaxtyping import Bool, Float
 from murmurate.errors import MOST, InputError, check_choice, check_number, suggestion
 from murmurate.world import (
     OBJECTIVES,
-    StartConfig,
-    WeightsConfig,
+    Start,
     World,
     WorldConfig,
     check_configurations,
-    make_start,
+    check_start,
     scaled_to,
 )
-from murmurate.world.starts import StartKind
 
 __all__ = ["ActionScale", "Gathering", "make_gathering", "numbers"]
 
 ActionScale = Literal["unit", "world"]
 
-STARTS = tuple(kind for kind in get_args(StartKind) if kind != "file")
+STARTS = ("scattered", "distributed", "packed", "random", "symmetric")
 """Starts that need no more than their name."""
 
 NUMERIC = "fiub"
@@ -92,8 +91,8 @@ class Gathering:
 def make_gathering(
     robots: int,
     objective: str,
-    start: StartConfig | StartKind,
-    weights: WeightsConfig | None,
+    start: Start | str,
+    weights: Mapping[str, float] | None,
     horizon: int,
     action_scale: ActionScale,
     sizes: dict[str, Any],
@@ -121,13 +120,13 @@ def make_gathering(
     check_choice("objective", objective, tuple(OBJECTIVES))
     check_choice("action_scale", action_scale, get_args(ActionScale))
     check_number("horizon", horizon, 1, MOST, integer=True)
-    if not isinstance(start, StartConfig):
+    if not isinstance(start, Start):
         check_choice("start", start, STARTS)
-        start = StartConfig(kind=start)
-    if not isinstance(weights, WeightsConfig | None):
-        raise InputError("weights", weights, "a WeightsConfig")
+        start = cast(Start, Start.registered()[start]())
+    if not isinstance(weights, Mapping | None):
+        raise InputError("weights", weights, "a mapping from signal names to numbers")
     config = replace(scaled_to(WorldConfig(), robots), **sizes)
-    world = World.create(config, make_start(start, config), objective, weights, horizon, by_robot)
+    world = World.create(config, check_start(start, config), objective, weights, horizon, by_robot)
     return Gathering(config, world, objective, action_scale)
 
 

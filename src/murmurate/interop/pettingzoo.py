@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Literal, get_args
+from typing import Any, Literal, cast, get_args
 
 import jax.numpy as jnp
 import numpy as np
@@ -24,8 +24,7 @@ from murmurate.errors import InputError, check_choice
 from murmurate.interop.camera import FPS, Camera
 from murmurate.interop.episodes import Episodes
 from murmurate.interop.gathering import ActionScale, make_gathering
-from murmurate.world import LocalObservation, ObservedState, SensingConfig, SensingKind, StartConfig, WeightsConfig
-from murmurate.world.starts import StartKind
+from murmurate.world import LocalObservation, ObservedState, Sensing, Start
 
 __all__ = ["GatheringParallelEnv", "Reward", "parallel_env"]
 
@@ -45,7 +44,7 @@ class GatheringParallelEnv(ParallelEnv[str, Rows, Velocity]):
     rows are `x, y, 1` for each robot it perceives, the nearest first, and zeros for the rest: `(robots - 1, 3)`. One
     more row `x, y, 1` follows for the gathering point where there is one and a landmark shows it (C1), four for the
     nearest points of the walls where they are perceived (`sensing.walls`), opposite walls two rows apart, and one more,
-    `radius, 0, 1`, where units differ (`sensing.unit`), by which a robot tells how long its unit is.
+    `radius, 0, 1`, where units differ (`sensing.unit_ratio`), by which a robot tells how long its unit is.
 
     An action is the robot's own velocity in its own frame. In the world's, each component is limited once more.
 
@@ -64,10 +63,10 @@ class GatheringParallelEnv(ParallelEnv[str, Rows, Velocity]):
         robots: int = 10,
         objective: str = "C1",
         *,
-        sensing: SensingConfig | SensingKind = "visible",
+        sensing: Sensing | str = "visible",
         reward: Reward = "shared",
-        start: StartConfig | StartKind = "random",
-        weights: WeightsConfig | None = None,
+        start: Start | str = "random",
+        weights: Mapping[str, float] | None = None,
         horizon: int = 400,
         action_scale: ActionScale = "unit",
         render_mode: str | None = None,
@@ -92,13 +91,13 @@ class GatheringParallelEnv(ParallelEnv[str, Rows, Velocity]):
             InputError: There is no such field, or a value is not allowed.
         """
         check_choice("reward", reward, get_args(Reward))
-        if not isinstance(sensing, SensingConfig):
-            check_choice("sensing", sensing, get_args(SensingKind))
-            sensing = SensingConfig(kind=sensing)
+        if not isinstance(sensing, Sensing):
+            check_choice("sensing", sensing, tuple(Sensing.registered()))
+            sensing = cast(Sensing, Sensing.registered()[sensing]())
         by_robot = reward == "robots"
         self._gathering = make_gathering(robots, objective, start, weights, horizon, action_scale, world, by_robot)
         self._camera = Camera(self._gathering, render_mode, self.metadata["render_modes"])
-        env = LocalObservation(self._gathering.world, self._gathering.world, sensing)
+        env = LocalObservation(self._gathering.world, sensing, self._gathering.config)
         self._episodes = Episodes(env, _look, 1)
         self._rng = seeding.np_random()[0]
         self.render_mode = render_mode
@@ -213,11 +212,11 @@ class GatheringParallelEnv(ParallelEnv[str, Rows, Velocity]):
         if self.render_mode == "human":
             self.render()
 
-    def _bounds(self, sensing: SensingConfig) -> tuple[Rows, Rows]:
+    def _bounds(self, sensing: Sensing) -> tuple[Rows, Rows]:
         """How small and how great the numbers of an observation can get."""
         across = 2 * float(np.hypot(*self._gathering.reach)) * (1 + FARTHEST_NOISE * sensing.range_noise)
-        longest = max(across, self._gathering.config.radius) * sensing.unit
-        rows = self._gathering.config.robots - 1 + _extra_rows(self._gathering.world.objective.gathering, sensing)
+        longest = max(across, self._gathering.config.radius) * sensing.unit_ratio
+        rows = self._gathering.config.robots - 1 + _extra_rows(self._gathering.world.objective.names, sensing)
         longest *= 1.001  # for what rounding adds
         low, high = np.array([[-longest, -longest, 0.0], [longest, longest, 1.0]], np.float32)
         return np.tile(low, (rows, 1)), np.tile(high, (rows, 1))
@@ -236,12 +235,12 @@ parallel_env = GatheringParallelEnv
 """What PettingZoo calls the maker of an environment."""
 
 
-def _has_landmark(gathering: str, sensing: SensingConfig) -> bool:
-    return gathering == "close" and sensing.landmark
+def _has_landmark(names: tuple[str, ...], sensing: Sensing) -> bool:
+    return "close" in names and sensing.landmark
 
 
-def _extra_rows(gathering: str, sensing: SensingConfig) -> int:
-    return _has_landmark(gathering, sensing) + 4 * sensing.walls + (sensing.unit > 1)
+def _extra_rows(names: tuple[str, ...], sensing: Sensing) -> int:
+    return _has_landmark(names, sensing) + 4 * sensing.walls + (sensing.unit_ratio > 1)
 
 
 def _look(env: LocalObservation, state: ObservedState) -> Float[Array, "robots rows 3 batch"]:
@@ -253,10 +252,10 @@ def _look(env: LocalObservation, state: ObservedState) -> Float[Array, "robots r
     rows = jnp.take_along_axis(jnp.stack([view.x, view.y, seen], axis=2), order[:, :, None], axis=1)
     one, zero = jnp.ones_like(view.radius), jnp.zeros_like(view.radius)
     extra = []
-    if _has_landmark(env.world.objective.gathering, env.sensing):
-        extra.append(jnp.stack([view.point_x, view.point_y, one], axis=1))
+    if _has_landmark(env.unwrapped.objective.names, env.sensing):
+        extra.append(jnp.stack([view.landmark_x, view.landmark_y, one], axis=1))
     if view.walls is not None:
         extra += [jnp.stack([*jnp.unstack(wall, axis=1), one], axis=1) for wall in jnp.unstack(view.walls, axis=1)]
-    if env.sensing.unit > 1:
+    if env.sensing.unit_ratio > 1:
         extra.append(jnp.stack([view.radius, zero, one], axis=1))
     return jnp.concatenate([rows, *(row[:, None] for row in extra)], axis=1)

@@ -2,14 +2,13 @@
 
 from murmurate.learning.advantage import generalized_advantage, rewards_to_go
 from murmurate.learning.config import Hyperparameters, PPOConfig, Schedule, Shape, ValueTarget
-from murmurate.learning.environment import ActionRepeat, Environment, Transition, step_with_autoreset
+from murmurate.learning.environment import Environment, Transition, step_with_autoreset
 from murmurate.learning.losses import Batch, policy_loss, value_loss
 from murmurate.learning.ppo import Rollout, TrainState, collect, init, train_chunk
 from murmurate.learning.sharding import check_divides
 from murmurate.learning.together import Chunk, train_together
 
 __all__ = [
-    "ActionRepeat",
     "Batch",
     "Chunk",
     "Environment",

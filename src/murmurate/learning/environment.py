@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from typing import Any, Protocol
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
-__all__ = ["ActionRepeat", "Environment", "Transition", "step_with_autoreset"]
+__all__ = ["Environment", "Transition", "step_with_autoreset"]
 
 
 class Transition(Protocol):
@@ -55,40 +54,6 @@ class Environment(Protocol):
     def observe(self, state: Any) -> Any:
         """Returns what policy and value networks are given, the batch last."""
         ...
-
-
-class ActionRepeat(eqx.Module):
-    """An environment whose every action is kept up for some steps, unless the episode ends before.
-
-    Decisions are then fewer and reach farther: noise that is kept up moves on, where noise redrawn every step only
-    jitters. Rewards and credits add up.
-    """
-
-    env: Any
-    times: Any
-
-    def reset_batch(self, key: PRNGKeyArray, batch: int) -> Any:
-        """Begins a batch of episodes, each at a fresh start."""
-        return self.env.reset_batch(key, batch)
-
-    def observe(self, state: Any) -> Any:
-        """Returns what the networks are given."""
-        return self.env.observe(state)
-
-    def step(self, state: Any, action: Any) -> tuple[Any, Transition]:
-        """Advances every episode by up to `times` steps."""
-        first = self.env.step(state, action)
-
-        def again(_: Any, now: tuple[Any, Any]) -> tuple[Any, Any]:
-            before, so_far = now
-            after, more = self.env.step(before, action)
-            added = eqx.tree_at(
-                lambda t: (t.reward, t.credit), more, (so_far.reward + more.reward, so_far.credit + more.credit)
-            )
-            done = so_far.terminated | so_far.truncated
-            return jax.tree.map(lambda old, new: jnp.where(done, old, new), now, (after, added))
-
-        return jax.lax.fori_loop(1, self.times, again, first)
 
 
 def step_with_autoreset(env: Environment, state: Any, action: Any, key: PRNGKeyArray) -> tuple[Any, Transition, Any]:

@@ -12,13 +12,14 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from murmurate.discovery import Trajectories, check_validity, policy_name
+from murmurate.discovery import check_validity, policy_name
 from murmurate.errors import InputError, RunError
 from murmurate.runs import experiment as configuration
 from murmurate.runs import storage
 from murmurate.runs.evaluate import TRAJECTORIES
 from murmurate.runs.experiment import ExperimentConfig
 from murmurate.runs.run import METRICS
+from murmurate.types import Trajectories
 
 __all__ = ["Episode", "Recording", "TrainingCurve"]
 
@@ -115,12 +116,12 @@ class Recording:
     @property
     def weights(self) -> dict[str, float]:
         """The weight of each signal in the objective."""
-        return dict.fromkeys(self.trajectories.signals, 1.0)
+        return {name: float(signal.weight) for name, signal in self.experiment.objective_signals.items()}
 
     @property
     def gathering_point(self) -> bool:
         """Whether the objective names a point at which to gather."""
-        return "close" in self.weights
+        return self.experiment.landmark
 
     def objective(self, signals: Mapping[str, Float[np.ndarray, "*shape"]]) -> Float[np.ndarray, "*shape"]:
         """Returns the objective of signals, whatever weights a policy was trained with, so that policies compare."""
@@ -129,7 +130,7 @@ class Recording:
     @functools.cached_property
     def valid(self) -> Bool[np.ndarray, " episodes"]:
         """Which episodes ended in a valid pattern."""
-        return check_validity(self.trajectories, self.experiment.world).valid
+        return check_validity(self.trajectories, self.experiment.world, self.experiment.thresholds).valid
 
     def typical(self) -> int:
         """Returns the episode of median formation steps among the valid ones, or among all where none is valid."""

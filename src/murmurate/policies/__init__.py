@@ -1,46 +1,24 @@
-"""Networks and action distributions. Knows arrays only.
+"""Policies: networks that map what robots know to their velocities, shields, and hand-written baselines.
 
-Policies map `(robots, 2, *batch)` positions, or what robots perceive of them, to velocities of that shape, or to a
-`Gaussian` around them; value networks to values `(actions, *batch)`: one a robot, or one for the swarm.
+Arrays take the batch LAST: positions `(robots, 2, *batch)`, velocities of that shape, values `(actions, *batch)`.
 """
 
-from __future__ import annotations
-
-import jax
-from jaxtyping import PRNGKeyArray
-
-from murmurate.policies.central import CentralPolicy, CentralValue
-from murmurate.policies.config import Credit, PolicyConfig, PolicyKind, Sizes
-from murmurate.policies.equivariant import EquivariantPolicy, EquivariantValue
-from murmurate.policies.gaussian import Gaussian
-from murmurate.policies.local import LocalPolicy, LocalValue
+from murmurate.policies.base import Credit, Gaussian, Policy, PolicyNetwork
+from murmurate.policies.central import CentralPolicy
+from murmurate.policies.equivariant import EquivariantPolicy
+from murmurate.policies.local import LocalPolicy
+from murmurate.policies.shield import NoShield, Shield, ShieldWrapper, WallShield
 
 __all__ = [
     "CentralPolicy",
-    "CentralValue",
     "Credit",
     "EquivariantPolicy",
-    "EquivariantValue",
     "Gaussian",
     "LocalPolicy",
-    "LocalValue",
-    "PolicyConfig",
-    "PolicyKind",
-    "Sizes",
-    "make_networks",
+    "NoShield",
+    "Policy",
+    "PolicyNetwork",
+    "Shield",
+    "ShieldWrapper",
+    "WallShield",
 ]
-
-_KINDS = {
-    "central": (CentralPolicy, CentralValue),
-    "equivariant": (EquivariantPolicy, EquivariantValue),
-    "local": (LocalPolicy, LocalValue),
-}
-
-
-def make_networks(
-    config: PolicyConfig, sizes: Sizes, key: PRNGKeyArray
-) -> tuple[CentralPolicy | EquivariantPolicy | LocalPolicy, CentralValue | EquivariantValue | LocalValue]:
-    """Builds a policy and its value network, two separate networks as in the paper's Algorithm 1."""
-    policy, value = _KINDS[config.kind]
-    first, second = jax.random.split(key)
-    return policy(config, sizes, first), value(config, sizes, second)

@@ -2,51 +2,68 @@
 
 from __future__ import annotations
 
-import math
+from typing import ClassVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from murmurate.policies.config import PolicyConfig, Sizes
-from murmurate.policies.gaussian import Gaussian
+from murmurate.policies.base import Policy, PolicyNetwork, check_hidden
 from murmurate.policies.layers import Dense, Tanh
+from murmurate.world.config import WorldConfig
 
-__all__ = ["CentralPolicy", "CentralValue"]
-
-
-def _features(positions: Float[Array, "robots 2 *batch"], sizes: Sizes) -> Float[Array, "features *batch"]:
-    return positions.reshape((-1, *positions.shape[2:])) / max(sizes.half_width, sizes.half_height)
+__all__ = ["CentralNetwork", "CentralPolicy", "CentralValue"]
 
 
-class CentralPolicy(eqx.Module):
+@Policy.register("central")
+class CentralPolicy(Policy):
+    """The paper's policy: one network over all positions, for one size of swarm.
+
+    Attributes:
+        hidden: Widths of the tanh layers.
+    """
+
+    any_size: ClassVar[bool] = False
+
+    hidden: tuple[int, ...] = eqx.field(default=(128, 128), static=True)
+
+    def __check_init__(self) -> None:
+        check_hidden(self.hidden)
+
+    def networks(self, world: WorldConfig, landmark: bool, key: PRNGKeyArray) -> tuple[CentralNetwork, CentralValue]:
+        """Builds the two networks; positions are in the world's frame, so no landmark is needed."""
+        first, second = jax.random.split(key)
+        return CentralNetwork(self, world, first), CentralValue(self, world, second)
+
+
+class CentralNetwork(PolicyNetwork):
     """Maps all positions to all velocities; it knows its robots by number."""
 
     body: Tanh
     head: Dense
     log_std: Float[Array, "robots 2"]
     joint: bool = eqx.field(static=True)
-    sizes: Sizes = eqx.field(static=True)
+    world: WorldConfig = eqx.field(static=True)
 
-    def __init__(self, config: PolicyConfig, sizes: Sizes, key: PRNGKeyArray) -> None:
+    def __init__(self, policy: CentralPolicy, world: WorldConfig, key: PRNGKeyArray) -> None:
         body, head = jax.random.split(key)
-        features = 2 * sizes.robots
-        self.body = Tanh(features, config.hidden, body)
-        self.head = Dense((features, *config.hidden)[-1], features, head, gain=0.01)
-        self.log_std = jnp.zeros((sizes.robots, 2))
-        self.joint = config.credit == "swarm"
-        self.sizes = sizes
+        features = 2 * world.robots
+        self.body = Tanh(features, policy.hidden, body)
+        self.head = Dense((features, *policy.hidden)[-1], features, head, gain=0.01)
+        self.log_std = jnp.zeros((world.robots, 2), jnp.float32)
+        self.joint = policy.credit == "swarm"
+        self.world = world
 
-    def __call__(self, positions: Float[Array, "robots 2 *batch"]) -> Float[Array, "robots 2 *batch"]:
+    def __call__(self, observation: Float[Array, "robots 2 *batch"]) -> Float[Array, "robots 2 *batch"]:
         """Returns the most likely velocities, world units per step."""
-        out = self.head(self.body(_features(positions, self.sizes)))
-        return self.sizes.max_speed * out.reshape(positions.shape)
+        out = self.head(self.body(_features(observation, self.world)))
+        return self.world.max_speed * out.reshape(observation.shape)
 
-    def distribution(self, positions: Float[Array, "robots 2 *batch"]) -> Gaussian:
-        """Returns normal velocities around the most likely ones: one action of the swarm, or one of every robot."""
-        log_std = self.log_std.reshape(self.log_std.shape + (1,) * (positions.ndim - 2))
-        return Gaussian(self(positions), log_std + math.log(self.sizes.max_speed), joint=self.joint)
+    @property
+    def is_joint(self) -> bool:
+        """Whether the swarm's velocities are ONE action."""
+        return self.joint
 
 
 class CentralValue(eqx.Module):
@@ -54,16 +71,20 @@ class CentralValue(eqx.Module):
 
     body: Tanh
     head: Dense
-    sizes: Sizes = eqx.field(static=True)
+    world: WorldConfig = eqx.field(static=True)
 
-    def __init__(self, config: PolicyConfig, sizes: Sizes, key: PRNGKeyArray) -> None:
+    def __init__(self, policy: CentralPolicy, world: WorldConfig, key: PRNGKeyArray) -> None:
         body, head = jax.random.split(key)
-        features = 2 * sizes.robots
-        self.body = Tanh(features, config.hidden, body)
-        actions = 1 if config.credit == "swarm" else sizes.robots
-        self.head = Dense((features, *config.hidden)[-1], actions, head, gain=1.0)
-        self.sizes = sizes
+        features = 2 * world.robots
+        self.body = Tanh(features, policy.hidden, body)
+        actions = 1 if policy.credit == "swarm" else world.robots
+        self.head = Dense((features, *policy.hidden)[-1], actions, head, gain=1.0)
+        self.world = world
 
     def __call__(self, positions: Float[Array, "robots 2 *batch"]) -> Float[Array, "actions *batch"]:
-        """Returns the value of every configuration: one of the swarm, or one of every robot."""
-        return self.head(self.body(_features(positions, self.sizes)))
+        """Returns the value of every configuration: one for the swarm, or one for each robot."""
+        return self.head(self.body(_features(positions, self.world)))
+
+
+def _features(positions: Float[Array, "robots 2 *batch"], world: WorldConfig) -> Float[Array, "features *batch"]:
+    return positions.reshape((-1, *positions.shape[2:])) / max(world.half_width, world.half_height)

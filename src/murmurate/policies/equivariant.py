@@ -17,22 +17,56 @@ limit, which stays within the component bound in every direction; the world clip
 
 from __future__ import annotations
 
-import math
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from murmurate.policies.config import PolicyConfig, Sizes
+from murmurate.errors import InputError, check_number
+from murmurate.policies.base import Policy, PolicyNetwork, check_hidden
 from murmurate.policies.features import pair_channels, point, robot_channels, surroundings
-from murmurate.policies.gaussian import Gaussian
 from murmurate.policies.layers import Dense, Linear, bounded, fold
+from murmurate.world.config import WorldConfig
 
-__all__ = ["EquivariantPolicy", "EquivariantValue", "ValueHead"]
+__all__ = ["EquivariantNetwork", "EquivariantPolicy", "EquivariantValue", "SharedPolicy", "ValueHead"]
 
 
-class EquivariantPolicy(eqx.Module):
+class SharedPolicy(Policy):
+    """Base of policies whose network is shared by all robots, so that it serves swarms of any size.
+
+    Attributes:
+        hidden: Widths of the node and the edge layer; one number serves for both.
+        basis: Number of radial basis functions.
+    """
+
+    hidden: tuple[int, ...] = eqx.field(default=(128, 128), static=True)
+    basis: int = eqx.field(default=8, static=True)
+
+    def __check_init__(self) -> None:
+        check_hidden(self.hidden, most=2)
+        check_number("basis", self.basis, 2, 1000, integer=True)
+        if self.credit == "swarm":
+            raise InputError("credit", self.credit, f"robots: with {self.name} each robot acts on its own")
+
+
+@Policy.register("equivariant")
+class EquivariantPolicy(SharedPolicy):
+    """One network shared by all robots, each of which sees all positions.
+
+    Attributes:
+        hidden: Widths of the node and the edge layer; one number serves for both.
+        basis: Number of radial basis functions.
+    """
+
+    def networks(
+        self, world: WorldConfig, landmark: bool, key: PRNGKeyArray
+    ) -> tuple[EquivariantNetwork, EquivariantValue]:
+        """Builds the two networks."""
+        first, second = jax.random.split(key)
+        return EquivariantNetwork(self, world, landmark, first), EquivariantValue(self, world, landmark, second)
+
+
+class EquivariantNetwork(PolicyNetwork):
     """Maps positions to velocities by coefficients of unit vectors towards what each robot sees."""
 
     node: Dense
@@ -43,38 +77,36 @@ class EquivariantPolicy(eqx.Module):
     to_point: Dense
     log_std: Float[Array, ""]
     basis: int = eqx.field(static=True)
-    sizes: Sizes = eqx.field(static=True)
+    world: WorldConfig = eqx.field(static=True)
+    landmark: bool = eqx.field(static=True)
 
-    def __init__(self, config: PolicyConfig, sizes: Sizes, key: PRNGKeyArray) -> None:
+    def __init__(self, policy: SharedPolicy, world: WorldConfig, landmark: bool, key: PRNGKeyArray) -> None:
         keys = jax.random.split(key, 6)
-        nodes, edges = config.hidden[0], config.hidden[-1]
-        self.node = Dense(robot_channels(config.basis, sizes.landmark), nodes, keys[0], gain=5 / 3)
-        self.pair = Dense(pair_channels(config.basis), edges, keys[1])
+        nodes, edges = policy.hidden[0], policy.hidden[-1]
+        self.node = Dense(robot_channels(policy.basis, landmark), nodes, keys[0], gain=5 / 3)
+        self.pair = Dense(pair_channels(policy.basis), edges, keys[1])
         self.mine = Linear(nodes, edges, keys[2])
         self.theirs = Linear(nodes, edges, keys[3])
         self.head = Dense(edges, 2, keys[4], gain=0.05)
         self.to_point = Dense(nodes, 2, keys[5], gain=0.05)
         self.log_std = jnp.zeros(())
-        self.basis = config.basis
-        self.sizes = sizes
+        self.basis = policy.basis
+        self.world = world
+        self.landmark = landmark
 
     def __call__(self, positions: Float[Array, "robots 2 *batch"]) -> Float[Array, "robots 2 *batch"]:
         """Returns the most likely velocities, world units per step."""
-        seen = surroundings(positions, self.basis, self.sizes)
+        seen = surroundings(positions, self.basis, self.world, self.landmark)
         nodes = jnp.tanh(self.node(seen.robot))
         mine, theirs = self.mine(nodes), self.theirs(nodes)
         g, h = self.head(jnp.tanh(self.pair(seen.pair) + mine[:, :, None] + theirs[:, None, :]))
         ahead, aside = (g * seen.ux - h * seen.uy, g * seen.uy + h * seen.ux)
         vx, vy = fold(lambda i: (ahead[:, i], aside[:, i]), positions.shape[0])
-        if self.sizes.landmark:
-            px, py, _ = point(-positions[:, 0], -positions[:, 1], self.basis, self.sizes.safe_distance)
+        if self.landmark:
+            px, py, _ = point(-positions[:, 0], -positions[:, 1], self.basis, self.world.safe_distance)
             g, h = self.to_point(nodes)
             vx, vy = vx + g * px - h * py, vy + g * py + h * px
-        return bounded(vx, vy, self.sizes.max_speed)
-
-    def distribution(self, positions: Float[Array, "robots 2 *batch"]) -> Gaussian:
-        """Returns normal velocities around the most likely ones: each robot draws its own."""
-        return Gaussian(self(positions), self.log_std + math.log(self.sizes.max_speed), joint=False)
+        return bounded(vx, vy, self.world.max_speed)
 
 
 class ValueHead(eqx.Module):
@@ -104,13 +136,15 @@ class EquivariantValue(eqx.Module):
 
     valuation: ValueHead
     basis: int = eqx.field(static=True)
-    sizes: Sizes = eqx.field(static=True)
+    world: WorldConfig = eqx.field(static=True)
+    landmark: bool = eqx.field(static=True)
 
-    def __init__(self, config: PolicyConfig, sizes: Sizes, key: PRNGKeyArray) -> None:
-        self.valuation = ValueHead(robot_channels(config.basis, sizes.landmark), config.hidden[0], key)
-        self.basis = config.basis
-        self.sizes = sizes
+    def __init__(self, policy: SharedPolicy, world: WorldConfig, landmark: bool, key: PRNGKeyArray) -> None:
+        self.valuation = ValueHead(robot_channels(policy.basis, landmark), policy.hidden[0], key)
+        self.basis = policy.basis
+        self.world = world
+        self.landmark = landmark
 
     def __call__(self, positions: Float[Array, "robots 2 *batch"]) -> Float[Array, "robots *batch"]:
         """Returns every robot's value of every configuration."""
-        return self.valuation(surroundings(positions, self.basis, self.sizes).robot)
+        return self.valuation(surroundings(positions, self.basis, self.world, self.landmark).robot)

@@ -13,8 +13,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from murmurate.policies.config import Sizes
 from murmurate.policies.layers import fold
+from murmurate.world.config import WorldConfig
 
 __all__ = ["SHADOWS", "Surroundings", "measured", "pair_channels", "radial_basis", "robot_channels", "surroundings"]
 
@@ -113,7 +113,7 @@ def counted(others: Float[Array, "robots *batch"], count: int) -> Float[Array, "
 
 
 def roominess(
-    mean: Float[Array, "robots *batch"], others: Float[Array, "robots *batch"], sizes: Sizes
+    mean: Float[Array, "robots *batch"], others: Float[Array, "robots *batch"], world: WorldConfig
 ) -> Float[Array, "room_channels robots *batch"]:
     """Says how much wider what each robot sees is than the least ring of as many robots that all see each other.
 
@@ -123,10 +123,10 @@ def roominess(
     Args:
         mean: Mean distance of those that each robot sees, world units.
         others: How many it sees.
-        sizes: Units of length.
+        world: Units of length.
     """
     robots = others + 1
-    least = jnp.maximum(0.0967 * sizes.radius * robots**2, 0.2026 * sizes.safe_distance * robots**2 / others)
+    least = jnp.maximum(0.0967 * world.radius * robots**2, 0.2026 * world.safe_distance * robots**2 / others)
     logarithm = jnp.log(mean / least + 1e-3)
     bells = [jnp.exp(-0.5 * ((logarithm - place) / ROOM_WIDTH) ** 2) for place in ROOM]
     return jnp.stack([jnp.tanh(logarithm), *bells])
@@ -172,13 +172,18 @@ def point(
 
 
 def surroundings(
-    positions: Float[Array, "robots 2 *batch"], basis: int, sizes: Sizes, *, scale_free: bool = False
+    positions: Float[Array, "robots 2 *batch"],
+    basis: int,
+    world: WorldConfig,
+    landmark: bool,
+    *,
+    scale_free: bool = False,
 ) -> Surroundings:
     """Measures what every robot sees of every other, and of the gathering point where there is one."""
     dx = positions[None, :, 0] - positions[:, None, 0]
     dy = positions[None, :, 1] - positions[:, None, 1]
     apart = dx * dx + dy * dy > 0
-    return measured(dx, dy, apart, -positions[:, 0], -positions[:, 1], basis, sizes, scale_free=scale_free)
+    return measured(dx, dy, apart, -positions[:, 0], -positions[:, 1], basis, world, landmark, scale_free=scale_free)
 
 
 def measured(
@@ -188,7 +193,8 @@ def measured(
     point_x: Float[Array, "robots *batch"],
     point_y: Float[Array, "robots *batch"],
     basis: int,
-    sizes: Sizes,
+    world: WorldConfig,
+    landmark: bool,
     *,
     scale_free: bool = False,
 ) -> Surroundings:
@@ -201,7 +207,8 @@ def measured(
         point_x: Coordinate of the gathering point, likewise.
         point_y: The other one.
         basis: Number of radial basis functions.
-        sizes: Units of length.
+        world: Units of length.
+        landmark: Whether the gathering point is known.
         scale_free: Whether those beyond the safe distance are measured by the mean distance of all that are seen, and
             by their share of these: then large, wide swarms look to a robot as small, narrow ones do.
     """
@@ -209,10 +216,10 @@ def measured(
     distance = jnp.sqrt(jnp.where(apart, square, 1.0))
     ux, uy = (jnp.where(apart, d / distance, 0.0) for d in (dx, dy))
     others = jnp.maximum(jnp.sum(apart, axis=1), 1).astype(dx.dtype)
-    logarithm = jnp.log(distance / sizes.safe_distance + 1e-6)
+    logarithm = jnp.log(distance / world.safe_distance + 1e-6)
     mean = jnp.sum(jnp.where(apart, distance, 0.0), axis=1) / others
     if scale_free:
-        logarithm = stretched(logarithm, mean / sizes.safe_distance)
+        logarithm = stretched(logarithm, mean / world.safe_distance)
     radial = radial_basis(logarithm, basis)
     radial = radial * apart.astype(dx.dtype)
 
@@ -225,12 +232,12 @@ def measured(
     # Where i lies in the crowd around k, ring by ring, two basis functions to a ring.
     rings = basis // 2
     rx, ry = (s[: 2 * rings].reshape((rings, 2, *s.shape[1:])).sum(axis=1)[:, :, None] for s in (sx, sy))
-    shadows = _shadows(ux, uy, distance, sizes.radius)
+    shadows = _shadows(ux, uy, distance, world.radius)
     pair = jnp.concatenate([radial, rx * ux + ry * uy, rx * uy - ry * ux, shadows])
     robot = [crowd, jnp.sqrt(sx * sx + sy * sy), shadows.sum(axis=2) / 4]
-    if sizes.landmark:
-        px, py, near = point(point_x, point_y, basis, sizes.safe_distance)
+    if landmark:
+        px, py, near = point(point_x, point_y, basis, world.safe_distance)
         robot += [near, sx * px + sy * py]
     if scale_free:
-        robot.append(roominess(mean, others, sizes))
+        robot.append(roominess(mean, others, world))
     return Surroundings(ux, uy, logarithm, pair, jnp.concatenate(robot))

@@ -18,16 +18,15 @@ its velocity with it. Where walls are perceived, nobody goes more than a share o
 
 from __future__ import annotations
 
-import math
-from typing import Any, Protocol
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, PRNGKeyArray
+from jaxtyping import Array, Float, PRNGKeyArray
 
-from murmurate.policies.config import PolicyConfig, Sizes
-from murmurate.policies.equivariant import ValueHead
+from murmurate.policies.base import Policy, PolicyNetwork
+from murmurate.policies.equivariant import SharedPolicy, ValueHead
 from murmurate.policies.features import (
     SHADOWS,
     Surroundings,
@@ -38,79 +37,37 @@ from murmurate.policies.features import (
     robot_channels,
     surroundings,
 )
-from murmurate.policies.gaussian import Gaussian
 from murmurate.policies.hull import CORNER_CHANNELS, EDGE_CHANNELS, hull
 from murmurate.policies.layers import Dense, Linear, bounded, fold
+from murmurate.policies.shield import limit_wall_approach
+from murmurate.types import Observation
+from murmurate.world.config import WorldConfig
 
-__all__ = ["LocalPolicy", "LocalValue", "Perception", "View", "ways"]
+__all__ = ["LocalNetwork", "LocalPolicy", "LocalValue"]
 
-
-BRAKE = 0.2
-"""Share of its way to a wall that a robot goes in a step, at most; moves of up to 5 steps end before it."""
 
 CRITICAL = 6.0
 """Lines of sight about to be crossed weigh, all together, less than so many robots near by."""
 
 
-class View(Protocol):
-    """What every robot perceives, in a frame and a unit of its own; the observer is the first axis."""
+@Policy.register("local")
+class LocalPolicy(SharedPolicy):
+    """One network shared by all robots, each of which acts on what it alone perceives.
 
-    @property
-    def x(self) -> Float[Array, "robots robots *batch"]:
-        """First coordinate of each robot that is perceived."""
-        ...
+    Attributes:
+        hidden: Widths of the node and the edge layer; one number serves for both.
+        basis: Number of radial basis functions.
+    """
 
-    @property
-    def y(self) -> Float[Array, "robots robots *batch"]:
-        """Second coordinate, likewise."""
-        ...
+    perceives: ClassVar[bool] = True
 
-    @property
-    def seen(self) -> Bool[Array, "robots robots *batch"]:
-        """Which robots are perceived."""
-        ...
-
-    @property
-    def radius(self) -> Float[Array, "robots *batch"]:
-        """The robots' radius in the observer's unit."""
-        ...
-
-    @property
-    def point_x(self) -> Float[Array, "robots *batch"]:
-        """First coordinate of the gathering point."""
-        ...
-
-    @property
-    def point_y(self) -> Float[Array, "robots *batch"]:
-        """Second coordinate of it."""
-        ...
-
-    @property
-    def walls(self) -> Float[Array, "robots 4 2 *batch"] | None:
-        """The nearest point of each wall, opposite ones two places apart; None where walls are not perceived."""
-        ...
+    def networks(self, world: WorldConfig, landmark: bool, key: PRNGKeyArray) -> tuple[LocalNetwork, LocalValue]:
+        """Builds the two networks."""
+        first, second = jax.random.split(key)
+        return LocalNetwork(self, world, landmark, first), LocalValue(self, world, landmark, second)
 
 
-class Perception(Protocol):
-    """An observation that says what the robots perceive, and what there is."""
-
-    @property
-    def view(self) -> View:
-        """What the robots perceive."""
-        ...
-
-    @property
-    def positions(self) -> Float[Array, "robots 2 *batch"]:
-        """Where they are."""
-        ...
-
-    @property
-    def walls(self) -> Float[Array, "robots *batch"]:
-        """How far each is from the nearest wall."""
-        ...
-
-
-class LocalPolicy(eqx.Module):
+class LocalNetwork(PolicyNetwork):
     """Maps what each robot perceives to its velocity, in its own frame, world units per step."""
 
     node: Dense
@@ -120,43 +77,45 @@ class LocalPolicy(eqx.Module):
     to_point: Dense
     log_std: Float[Array, ""]
     basis: int = eqx.field(static=True)
-    sizes: Sizes = eqx.field(static=True)
+    world: WorldConfig = eqx.field(static=True)
+    landmark: bool = eqx.field(static=True)
 
-    def __init__(self, config: PolicyConfig, sizes: Sizes, key: PRNGKeyArray) -> None:
+    def __init__(self, policy: SharedPolicy, world: WorldConfig, landmark: bool, key: PRNGKeyArray) -> None:
         keys = jax.random.split(key, 5)
-        nodes, edges = config.hidden[0], config.hidden[-1]
-        robots = robot_channels(config.basis, sizes.landmark, scale_free=True) + CORNER_CHANNELS
+        nodes, edges = policy.hidden[0], policy.hidden[-1]
+        robots = robot_channels(policy.basis, landmark, scale_free=True) + CORNER_CHANNELS
         self.node = Dense(robots, nodes, keys[0], gain=5 / 3)
-        self.pair = Dense(pair_channels(config.basis) + EDGE_CHANNELS, edges, keys[1])
+        self.pair = Dense(pair_channels(policy.basis) + EDGE_CHANNELS, edges, keys[1])
         self.mine = Linear(nodes, edges, keys[2])
         self.head = Dense(edges, 4, keys[3], gain=0.05)
         self.to_point = Dense(nodes, 2, keys[4], gain=0.05)
         self.log_std = jnp.zeros(())
-        self.basis = config.basis
-        self.sizes = sizes
+        self.basis = policy.basis
+        self.world = world
+        self.landmark = landmark
 
-    def __call__(self, observation: Perception) -> Float[Array, "robots 2 *batch"]:
+    def __call__(self, observation: Observation) -> Float[Array, "robots 2 *batch"]:
         """Returns the most likely velocities; nothing but the view is looked at."""
-        view, sizes = observation.view, self.sizes
+        view, world = observation.view, self.world
         # In world units, by the size at which robots are perceived.
-        scale = sizes.radius / view.radius
+        scale = world.radius / view.radius
         x, y = view.x * scale[:, None], view.y * scale[:, None]
-        px, py = view.point_x * scale, view.point_y * scale
+        px, py = view.landmark_x * scale, view.landmark_y * scale
         seen = view.seen & (x * x + y * y > 0)
-        around = measured(x, y, seen, px, py, self.basis, sizes, scale_free=True)
+        around = measured(x, y, seen, px, py, self.basis, world, self.landmark, scale_free=True)
         square = jnp.where(seen, x * x + y * y, 1.0)
-        outline = hull(around.ux, around.uy, jnp.sqrt(square) / sizes.radius, seen)
+        outline = hull(around.ux, around.uy, jnp.sqrt(square) / world.radius, seen)
         nodes = jnp.tanh(self.node(jnp.concatenate([_compressed(around.robot), outline.robot])))
         pairs = jnp.concatenate([_compressed(around.pair), outline.pair])
         edges = jnp.tanh(self.pair(pairs) + self.mine(nodes)[:, :, None])
         weight = self._weight(around)
         vx, vy = self._sum(around, self.head(edges), weight, seen)
-        if sizes.landmark:
-            ux, uy, _ = point(px, py, self.basis, sizes.safe_distance)
+        if self.landmark:
+            ux, uy, _ = point(px, py, self.basis, world.safe_distance)
             g, h = self.to_point(nodes)
             vx, vy = vx + g * ux - h * uy, vy + g * uy + h * ux
-        velocity = bounded(vx, vy, sizes.max_speed)
-        return velocity if view.walls is None else braked(velocity, view.walls * scale[:, None, None])
+        velocity = bounded(vx, vy, world.max_speed)
+        return velocity if view.walls is None else limit_wall_approach(velocity, view.walls * scale[:, None, None])
 
     def _weight(self, around: Surroundings) -> Array:
         """How much each robot seen counts, besides in the mean."""
@@ -175,34 +134,6 @@ class LocalPolicy(eqx.Module):
         vx, vy = fold(lambda i: (ahead[:, i], aside[:, i]), seen.shape[1])
         return vx, vy
 
-    def distribution(self, observation: Perception) -> Gaussian:
-        """Returns normal velocities around the most likely ones: each robot draws its own."""
-        return Gaussian(self(observation), self.log_std + math.log(self.sizes.max_speed), joint=False)
-
-
-def braked(
-    velocity: Float[Array, "robots 2 *batch"], walls: Float[Array, "robots 4 2 *batch"]
-) -> Float[Array, "robots 2 *batch"]:
-    """Shortens velocities so that no robot goes more than a share of its way to a wall.
-
-    Args:
-        velocity: Of each robot, world units per step.
-        walls: The nearest point of each wall from where it is, world units, opposite ones two places apart.
-    """
-    normal, way = ways(walls)
-    excess = jnp.maximum(jnp.sum(velocity[:, None] * normal, axis=2) - BRAKE * way, 0.0)
-    return velocity - jnp.sum(excess[:, :, None] * normal, axis=1)
-
-
-def ways(
-    walls: Float[Array, "robots 4 2 *batch"],
-) -> tuple[Float[Array, "robots 4 2 *batch"], Float[Array, "robots 4 *batch"]]:
-    """Returns the unit vector towards each wall, and how far it is, at least 0."""
-    # From wall to wall: a robot at a wall knows by the opposite one where that lies.
-    across = walls - jnp.roll(walls, 2, axis=1)
-    normal = across / jnp.sqrt(jnp.sum(across**2, axis=2, keepdims=True))
-    return normal, jnp.maximum(jnp.sum(walls * normal, axis=2), 0.0)
-
 
 class LocalValue(eqx.Module):
     """Maps what there is to what is still to be gained: training may know everything, acting never does.
@@ -212,18 +143,20 @@ class LocalValue(eqx.Module):
 
     valuation: ValueHead
     basis: int = eqx.field(static=True)
-    sizes: Sizes = eqx.field(static=True)
+    world: WorldConfig = eqx.field(static=True)
+    landmark: bool = eqx.field(static=True)
 
-    def __init__(self, config: PolicyConfig, sizes: Sizes, key: PRNGKeyArray) -> None:
-        channels = robot_channels(config.basis, sizes.landmark, scale_free=True) + config.basis
-        self.valuation = ValueHead(channels, config.hidden[0], key)
-        self.basis = config.basis
-        self.sizes = sizes
+    def __init__(self, policy: SharedPolicy, world: WorldConfig, landmark: bool, key: PRNGKeyArray) -> None:
+        channels = robot_channels(policy.basis, landmark, scale_free=True) + policy.basis
+        self.valuation = ValueHead(channels, policy.hidden[0], key)
+        self.basis = policy.basis
+        self.world = world
+        self.landmark = landmark
 
-    def __call__(self, observation: Perception) -> Float[Array, "robots *batch"]:
+    def __call__(self, observation: Observation) -> Float[Array, "robots *batch"]:
         """Returns every robot's value of every configuration."""
-        around = surroundings(observation.positions, self.basis, self.sizes, scale_free=True)
-        walls = radial_basis(jnp.log(observation.walls / self.sizes.safe_distance + 0.02), self.basis)
+        around = surroundings(observation.positions, self.basis, self.world, self.landmark, scale_free=True)
+        walls = radial_basis(jnp.log(observation.walls / self.world.safe_distance + 0.02), self.basis)
         return self.valuation(jnp.concatenate([_compressed(around.robot), walls]))
 
 

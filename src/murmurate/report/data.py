@@ -19,7 +19,8 @@ from murmurate.report.runs import Result
 __all__ = ["REASONS", "Command", "Machine", "Measures", "Pattern", "ReportData", "measure"]
 
 REASONS = {
-    "collision_free": "not collision-free",
+    "contact_free": "contact",
+    "inside": "outside",
     "mutually_visible": "not visible",
     "safe": "not safe",
     "gathered": "not gathered",
@@ -112,7 +113,7 @@ def measure(result: Result) -> Measures:
         policy=result.planned.learner,
         seed=config.seed,
         robots=config.world.robots,
-        start=config.start.kind,
+        start=config.start.name,
         half_side=config.world.half_width,
         outcome=manifest["outcome"],
         policies=len(manifest["policies"]),

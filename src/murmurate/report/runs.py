@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from murmurate import plots
-from murmurate.discovery import Discovery
+from murmurate.discovery import Search
 from murmurate.errors import RunError
 from murmurate.report.plan import Plan, PlannedRun
 from murmurate.runs import checkpoint, storage, table
@@ -72,7 +72,7 @@ def _look(planned: PlannedRun, folder: Path) -> storage.Found:
         read(planned, folder)
         storage.read_npz(folder / TRAJECTORIES)
     elif found == "unfinished":
-        checkpoint.load(folder, Discovery(planned.config))
+        checkpoint.load(folder, Search(planned.config))
     return found
 
 

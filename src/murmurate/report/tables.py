@@ -88,7 +88,7 @@ def steps_table(experiments: Mapping[str, ByPolicy]) -> str:
     """The paper's Table IV, each row with ours below it."""
     with_gap = any(run.gap is not None for runs in experiments.values() for run in runs.values())
     header = ("experiment", "swarm size", "policy", "base steps", "auxiliary steps", "total steps")
-    header += ("kinematic bound", "efficiency", "valid", "collision-free", *(("gap",) if with_gap else ()))
+    header += ("kinematic bound", "efficiency", "valid", "contact-free", *(("gap",) if with_gap else ()))
     rows = []
     for name, runs in experiments.items():
         paper = EXPERIMENTS[name]
@@ -99,8 +99,8 @@ def steps_table(experiments: Mapping[str, ByPolicy]) -> str:
         rows.append([f"*{cell}*" for cell in cells] + [NONE] * (len(header) - len(cells)))
         for run in runs.values():
             steps = (run.base_steps, run.auxiliary_steps, run.total_steps, run.bound_steps)
-            collisions = run.lacking["collision_free"]
-            free = None if collisions is None else run.episodes - collisions
+            contacts = run.lacking["contact_free"]
+            free = None if contacts is None else run.episodes - contacts
             gap = f"{100 * run.gap / run.best_known:.2f} %" if run.gap is not None and run.best_known else NONE
             counts = (_of(run.valid, run), _of(free, run), *((gap,) if with_gap else ()))
             cells = (*(_number(value) for value in steps), _number(run.efficiency, 2), *counts)

@@ -10,11 +10,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from murmurate.discovery import Discovery, Snapshot
+from murmurate.discovery import Search, Snapshot, policy_templates
 from murmurate.errors import RunError
 from murmurate.runs import storage, serialization
 
-__all__ = ["Checkpoint", "load", "policy_templates", "remove", "save"]
+__all__ = ["Checkpoint", "load", "remove", "save"]
 
 _FOLDER = "checkpoint"
 _FILE = "snapshot.safetensors"
@@ -56,7 +56,7 @@ def save(folder: str | Path, checkpoint: Checkpoint) -> None:
     serialization.save(Path(folder) / _FOLDER / _FILE, tree, notes)
 
 
-def load(folder: str | Path, discovery: Discovery) -> Checkpoint:
+def load(folder: str | Path, search: Search) -> Checkpoint:
     """Reads the checkpoint of a run; where there is none yet, the beginning.
 
     Raises:
@@ -64,18 +64,18 @@ def load(folder: str | Path, discovery: Discovery) -> Checkpoint:
     """
     path = Path(folder) / _FOLDER / _FILE
     if not path.exists():
-        return Checkpoint(discovery.begin())
+        return Checkpoint(search.begin())
     notes = serialization.read_notes(path)
     try:
-        policies = policy_templates(discovery, notes["policies"])
-        sigma = jax.ShapeDtypeStruct((notes["sigma"], discovery.problem.world.robots, 2), jnp.float32)
+        policies = policy_templates(search.problem, notes["policies"])
+        sigma = jax.ShapeDtypeStruct((notes["sigma"], search.problem.world.robots, 2), jnp.float32)
         template = {"policies": policies, "sigma": sigma, "train": None}
         valid, finished, training = float(notes["valid"]), bool(notes["finished"]), bool(notes["training"])
         rows, seconds = int(notes["rows"]), float(notes["seconds"])
     except (KeyError, TypeError, ValueError) as error:
         raise RunError(f"{path} is not a checkpoint of this version of murmurate: {error!r}") from None
     if training:
-        template["train"] = eqx.filter_eval_shape(_training_state, discovery, policies, sigma)
+        template["train"] = eqx.filter_eval_shape(_training_state, search, policies, sigma)
     tree = serialization.load(path, template)
     snapshot = Snapshot(tree["policies"], tree["sigma"], valid, tree["train"], finished)
     return Checkpoint(snapshot, rows, seconds)
@@ -86,10 +86,5 @@ def remove(folder: str | Path) -> None:
     shutil.rmtree(Path(folder) / _FOLDER, ignore_errors=True)
 
 
-def policy_templates(discovery: Discovery, count: int) -> tuple:
-    """Returns policies without numbers, to load the first `count` of the list into."""
-    return tuple(eqx.filter_eval_shape(discovery.networks, index)[0] for index in range(count))
-
-
-def _training_state(discovery: Discovery, policies: tuple, sigma: jax.Array) -> object:
-    return discovery.template(Snapshot(policies, sigma, 0.0, None))
+def _training_state(search: Search, policies: tuple, sigma: jax.Array) -> object:
+    return search.training(Snapshot(policies, sigma, 0.0, None))

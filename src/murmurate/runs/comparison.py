@@ -13,36 +13,48 @@ import numpy as np
 from jaxtyping import Float
 
 from murmurate.policies.baselines import BASELINES
-from murmurate.discovery import Discovery, Trajectories, bound_steps, check_validity
+from murmurate.discovery import Trajectories, bound_steps, build_cascade, check_validity
 from murmurate.errors import RunError, check_choice, check_number
-from murmurate.runs import storage
+from murmurate.runs import config_io, storage
 from murmurate.runs.experiment import ExperimentConfig, check_seed
 from murmurate.runs.evaluate import wilson
 from murmurate.runs.run import MAX_EPISODES, Run
 from murmurate.geometry import neighbors_and_visible
 from murmurate.analysis.optimum.best_known import best_known
 from murmurate.analysis.optimum.formation import Target
-from murmurate.policies import Sizes
-from murmurate.world import Family, SchedulerConfig, SensingConfig, WorldConfig, draw_starts, symmetric_starts
+from murmurate.policies import LocalPolicy
+from murmurate.world import (
+    AsyncScheduler,
+    Family,
+    FsyncScheduler,
+    GlobalSensing,
+    Scheduler,
+    Sensing,
+    SsyncScheduler,
+    SymmetricStart,
+    VisibleSensing,
+    WorldConfig,
+    draw_starts,
+)
 
 __all__ = ["COMPARISON", "SCHEDULERS", "SENSINGS", "Cell", "Comparison", "cells", "compare", "load", "sorted_rows"]
 
 COMPARISON = "comparison.json"
 
-SENSINGS: dict[str, SensingConfig] = {
-    "global": SensingConfig(kind="global", rotation=True, reflection=True, walls=True),
-    "visible": SensingConfig(kind="visible", rotation=True, reflection=True),
-    "chiral": SensingConfig(kind="visible", rotation=True),
-    "noisy": SensingConfig(kind="visible", rotation=True, reflection=True, range_noise=0.02, bearing_noise=0.01),
+SENSINGS: dict[str, Sensing] = {
+    "global": GlobalSensing(rotation=True, reflection=True, walls=True),
+    "visible": VisibleSensing(rotation=True, reflection=True),
+    "chiral": VisibleSensing(rotation=True),
+    "noisy": VisibleSensing(rotation=True, reflection=True, range_noise=0.02, bearing_noise=0.01),
 }
 """What robots perceive, by name. None agrees with another on directions, nor, but for `chiral`, on handedness."""
 
-SCHEDULERS: dict[str, SchedulerConfig] = {
-    "fsync": SchedulerConfig(),
-    "ssync": SchedulerConfig(kind="ssync"),
-    "adversarial": SchedulerConfig(kind="ssync", adversarial=True, rigid=False),
-    "async": SchedulerConfig(kind="async"),
-    "async-nonrigid": SchedulerConfig(kind="async", rigid=False),
+SCHEDULERS: dict[str, Scheduler] = {
+    "fsync": FsyncScheduler(),
+    "ssync": SsyncScheduler(),
+    "adversarial": SsyncScheduler(adversarial=True, rigid=False),
+    "async": AsyncScheduler(),
+    "async-nonrigid": AsyncScheduler(rigid=False),
 }
 """When robots move, by name."""
 
@@ -99,8 +111,8 @@ class Comparison:
         frames = SENSINGS[cell.sensing]
         if cell.method in BASELINES and BASELINES[cell.method].centralised:
             # A central mind has one frame; with it come all positions.
-            frames = SensingConfig(kind="global")
-        policy = replace(self.base.policy, kind="local", credit="robots")
+            frames = GlobalSensing()
+        policy = LocalPolicy()
         problem = replace(self.base, policy=policy, sensing=frames, scheduler=SCHEDULERS[cell.scheduler], sizes=())
         return problem.of_size(cell.robots)
 
@@ -228,8 +240,8 @@ def _settings(comparison: Comparison, runs: Mapping[str, Mapping[str, Run]]) -> 
         "world": world,
         "rest": asdict(comparison.base.rest),
         "seed": comparison.seed,
-        "sensings": {name: asdict(config) for name, config in SENSINGS.items()},
-        "schedulers": {name: asdict(config) for name, config in SCHEDULERS.items()},
+        "sensings": {name: config_io.to_dict(config) for name, config in SENSINGS.items()},
+        "schedulers": {name: config_io.to_dict(config) for name, config in SCHEDULERS.items()},
         "weights": {f"{name}, {eyes}": _identity(run) for name, own in runs.items() for eyes, run in own.items()},
     }
 
@@ -263,16 +275,7 @@ def _policy(comparison: Comparison, cell: Cell, runs: Mapping[str, Mapping[str, 
         run.warn_of_size(cell.robots)
         return run.cascade.policies
     world = comparison.problem(cell).world
-    sizes = Sizes(
-        robots=world.robots,
-        half_width=world.half_width,
-        half_height=world.half_height,
-        radius=world.radius,
-        safe_distance=world.safe_distance,
-        max_speed=world.max_speed,
-        landmark=comparison.base.objective == "C1",
-    )
-    return (BASELINES[cell.method](sizes),)
+    return (BASELINES[cell.method](world, comparison.base.landmark),)
 
 
 def _row(comparison: Comparison, cell: Cell, policies: Any) -> dict[str, Any]:
@@ -311,15 +314,15 @@ def _rollouts(
     comparison: Comparison, problem: ExperimentConfig, policies: Any, start: str = RANDOM
 ) -> Iterator[Trajectories]:
     """Executes a method from all starts, so many at a time as memory holds; every method from the same."""
-    discovery = Discovery(problem)
-    cascade = discovery.cascade(policies)
+    cascade = build_cascade(problem, policies)
     size = min(max(ROOM // problem.world.robots**2, 8), comparison.episodes)
     key = jax.random.fold_in(jax.random.fold_in(jax.random.key(comparison.seed), _HELD_OUT), problem.world.robots)
     for first in range(0, comparison.episodes, size):
         if start == RANDOM:
-            starts = draw_starts(discovery.world.start, jax.random.fold_in(key, first), size)
+            starts = draw_starts(cascade.world.start, jax.random.fold_in(key, first), size, problem.world)
         else:
-            starts = symmetric_starts(cast(Any, start), problem.world, size, seed=comparison.seed + first)
+            family = SymmetricStart(cast(Any, start))
+            starts = draw_starts(family.prepare(problem.world), jax.random.fold_in(key, first), size, problem.world)
         ran = cascade.rollout(starts, seed=first)
         yield _first(ran, comparison.episodes - first)
 
@@ -334,11 +337,11 @@ def _first(ran: Trajectories, count: int) -> Trajectories:
 
 def _judged(problem: ExperimentConfig, ran: Trajectories) -> dict[str, np.ndarray]:
     """Measures every episode."""
-    validity, world = check_validity(ran, problem.world), problem.world
+    validity, world = check_validity(ran, problem.world, problem.thresholds), problem.world
     bound = np.array([bound_steps(a, b, world.max_speed) for a, b in zip(ran.positions[:, 0], ran.final, strict=True)])
     return {
         "valid": validity.valid,
-        "free": validity.collision_free,
+        "free": validity.contact_free & validity.inside,
         "left": _left(ran.final, world),
         "seen": validity.mutually_visible,
         "safe": validity.safe,

@@ -1,13 +1,15 @@
 """Configuration as nested frozen dataclasses: to and from plain dictionaries, TOML and the text of flags.
 
-A field is a section, which is another dataclass, or a leaf: int, float, str, bool, a Literal of strings, one of these
-or None, or a tuple of them. Every leaf has a dotted path, such as `world.radius`, that files, flags and error messages
-spell alike. Types are checked here; values by the dataclasses themselves, in `__post_init__`. TOML has no null, so None
-is written as the word "none".
+A field is a leaf (int, float, str, bool, a Literal of strings, one of these or None, or a tuple of them), a section,
+which is another dataclass, a strategy, whose class the field `use` names, or a table of numbers or strategies by name.
+Every leaf has a dotted path, such as `world.radius`, that files, flags and error messages spell in the same way. Types
+are checked here; values by the dataclasses themselves when they are built. TOML has no null, so None is written as the
+word "none".
 """
 
 from __future__ import annotations
 
+import collections.abc
 import contextlib
 import dataclasses
 import inspect
@@ -17,13 +19,16 @@ import types
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from pathlib import Path
-from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
 import tomli_w
 
 from murmurate.errors import InputError, suggestion
+from murmurate.registry import Importer, Strategy
 
 __all__ = [
+    "OLD_USE",
+    "USE",
     "Leaf",
     "dump_toml",
     "from_dict",
@@ -35,13 +40,37 @@ __all__ = [
     "parse",
     "replaced",
     "spelled",
+    "strategies",
+    "table_kind",
     "to_dict",
 ]
 
 T = TypeVar("T")
 NONE = "none"
+USE, OLD_USE = "use", "kind"
+"""The field that names the class of a strategy, and what version 0.1.0 called it."""
+
 _WORDS = {int: "an integer", float: "a number", bool: "true or false", str: "text"}
 _READERS = {int: int, float: float, bool: {"true": True, "false": False}.__getitem__}
+
+_RENAMED = {
+    "scheduler": {
+        "share": "activation_probability",
+        "within": "fairness_bound",
+        "delay": "max_delay",
+        "span": "max_move_steps",
+        "least": "min_move",
+    },
+    "sensing": {"unit": "unit_ratio", "missed": "miss_probability", "redrawn": "resample_frames"},
+}
+"""New names of the fields that version 0.1.0 called otherwise, by section."""
+
+_DROPPED = {
+    "start": {"noise", "spacing", "lines", "file"},
+    "policy": {"basis", "credit"},
+    "scheduler": {"activation_probability", "fairness_bound", "adversarial", "max_delay", "max_move_steps"},
+}
+"""Fields that version 0.1.0 wrote for every kind, by section: the classes that do not have them ignore them there."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -51,8 +80,8 @@ class Leaf:
     Attributes:
         path: Its dotted path, such as `world.radius`.
         kind: Its type.
-        value: Its value in the configuration at hand.
-        help: What its class says about it under "Attributes".
+        value: Its value in the configuration.
+        help: What the docstring of its class says about it under "Attributes".
     """
 
     path: str
@@ -62,37 +91,35 @@ class Leaf:
 
 
 def to_dict(config: Any) -> dict[str, Any]:
-    """Returns a configuration as nested dictionaries; tuples become lists."""
-
-    def plain(value: Any) -> Any:
-        if dataclasses.is_dataclass(value):
-            return to_dict(value)
-        return [plain(item) for item in value] if isinstance(value, tuple) else value
-
-    return {field.name: plain(getattr(config, field.name)) for field in dataclasses.fields(config)}
+    """Returns a configuration as nested dictionaries; tuples become lists, and strategies name their class."""
+    data: dict[str, Any] = {USE: config.name} if isinstance(config, Strategy) else {}
+    return data | {name: _plain(getattr(config, name)) for name in _kinds(type(config))}
 
 
-def from_dict(cls: type[T], data: Mapping[str, Any], where: str = "") -> T:
+def from_dict(cls: type[T], data: Mapping[str, Any], where: str = "", importer: Importer | None = None) -> T:
     """Builds a configuration; fields that are not given have the defaults of their class.
 
     Args:
         cls: The dataclass to build.
-        data: Nested dictionaries, as `to_dict` or TOML gives them.
+        data: Nested dictionaries, as `to_dict` or TOML gives them; a section or strategy may be given built.
         where: Dotted path of this configuration inside a greater one, for error messages.
+        importer: Finds the classes of strategies.
 
     Raises:
-        InputError: A field is unknown, missing, of the wrong type, or refused by its dataclass.
+        InputError: A field is unknown, missing, of the wrong type, or refused by its class.
     """
-    return _made(cls, None, data, where)
+    return _build(cls, None, data, where, importer or Importer())
 
 
-def replaced(config: T, data: Mapping[str, Any], where: str = "") -> T:
+def replaced(config: T, data: Mapping[str, Any], where: str = "", importer: Importer | None = None) -> T:
     """Returns the configuration with the fields of the nested `data` replaced and all others kept.
 
+    A strategy whose class changes has the defaults of its new class where `data` gives nothing.
+
     Raises:
-        InputError: A field is unknown, of the wrong type, or refused by its dataclass.
+        InputError: A field is unknown, of the wrong type, or refused by its class.
     """
-    return _made(type(config), config, data, where)
+    return _build(type(config), config, data, where, importer or Importer())
 
 
 def merged(first: Mapping[str, Any], *later: Mapping[str, Any]) -> dict[str, Any]:
@@ -102,9 +129,21 @@ def merged(first: Mapping[str, Any], *later: Mapping[str, Any]) -> dict[str, Any
         for name, value in data.items():
             old = result.get(name)
             if isinstance(old, Mapping) and isinstance(value, Mapping):
-                value = merged(old, value)
+                value = _merged_tables(old, value)
             result[name] = value
     return result
+
+
+def _merged_tables(old: Mapping[str, Any], new: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Merges two tables; where the later one names another class of strategy, nothing is left of the earlier one."""
+    old_use, new_use = (table.get(USE, table.get(OLD_USE)) for table in (old, new))
+    if None in (old_use, new_use):
+        return merged(old, new)
+    if old_use != new_use:
+        return new
+    key = OLD_USE if OLD_USE in old or OLD_USE in new else USE
+    tables = ({name: value for name, value in table.items() if name not in (USE, OLD_USE)} for table in (old, new))
+    return {key: new_use, **merged(*tables)}
 
 
 def nested(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -122,12 +161,35 @@ def nested(values: Mapping[str, Any]) -> dict[str, Any]:
 def leaves(config: Any, where: str = "") -> Iterator[Leaf]:
     """Yields the leaves of a configuration in the order of its fields, depth first."""
     texts = _attribute_texts(type(config))
+    if isinstance(config, Strategy):
+        names = ", ".join(config.registered())
+        yield Leaf(_join(where, USE), str, config.name, f'One of {names}, or "module:Class" of one\'s own.')
     for name, kind in _kinds(type(config)).items():
         value, path = getattr(config, name), _join(where, name)
-        if dataclasses.is_dataclass(kind):
+        table = table_kind(kind)
+        if table is not None:
+            for key, entry in value.items():
+                if _is_section(table):
+                    yield from leaves(entry, _join(path, key))
+                else:
+                    yield Leaf(_join(path, key), table, entry, texts.get(name, ""))
+        elif _is_section(kind):
             yield from leaves(value, path)
         else:
             yield Leaf(path, kind, value, texts.get(name, ""))
+
+
+def strategies(config: Any, where: str = "") -> Iterator[tuple[str, Strategy]]:
+    """Yields the strategies of a configuration with their dotted paths, nested ones too."""
+    if isinstance(config, Strategy):
+        yield where, config
+    for name, kind in _kinds(type(config)).items():
+        value, path, table = getattr(config, name), _join(where, name), table_kind(kind)
+        if table is not None and _is_section(table):
+            for key, entry in value.items():
+                yield from strategies(entry, _join(path, key))
+        elif table is None and _is_section(kind):
+            yield from strategies(value, path)
 
 
 def parse(kind: Any, text: str, path: str) -> Any:
@@ -195,21 +257,28 @@ def optional(kind: Any) -> tuple[Any, bool]:
     return kind, False
 
 
-def _made(cls: Any, current: Any, data: Mapping[str, Any], where: str) -> Any:
-    """Builds `cls` from data, the rest from `current`, or when that is None from the defaults of the class."""
+def table_kind(kind: Any) -> Any:
+    """Returns the type of the entries of a table by name; None for any other type."""
+    return get_args(kind)[1] if get_origin(kind) is collections.abc.Mapping else None
+
+
+def _build(cls: Any, current: Any, data: Any, where: str, importer: Importer) -> Any:
+    """Builds a section or strategy from data, the rest from `current` or, without that, from the class's defaults."""
+    if isinstance(data, cls):
+        return data
+    if issubclass(cls, Strategy):
+        data = {USE: data} if isinstance(data, str) else data
+        _check_table(cls, data, where)
+        cls, data = _chosen(cls, current, dict(data), where, importer)
+        current = current if type(current) is cls else None
+    _check_table(cls, data, where)
     kinds = _kinds(cls)
-    known = f"{f'[{where}]' if where else 'the configuration'} ({', '.join(kinds)})"
-    if not isinstance(data, Mapping):
-        raise InputError(where or "configuration", data, f"a table with fields of {known}")
     values: dict[str, Any] = {}
     for name, value in data.items():
         path = _join(where, name)
         if name not in kinds:
-            raise InputError(path, value, f"a field of {known}{suggestion(name, kinds)}")
-        if dataclasses.is_dataclass(kinds[name]):
-            values[name] = _made(kinds[name], getattr(current, name, None), value, path)
-        else:
-            values[name] = _converted(kinds[name], value, path)
+            raise InputError(path, value, f"a field of {_known(cls, where)}{suggestion(name, kinds)}")
+        values[name] = _field(kinds[name], getattr(current, name, None), value, path, importer)
     try:
         if current is not None:
             return dataclasses.replace(current, **values)
@@ -219,6 +288,64 @@ def _made(cls: Any, current: Any, data: Mapping[str, Any], where: str) -> Any:
         return cls(**values)
     except InputError as error:
         raise InputError(_join(where, error.field), error.value, error.allowed) from None
+
+
+def _field(kind: Any, current: Any, value: Any, path: str, importer: Importer) -> Any:
+    """Returns the value of one field, as its class wants it."""
+    table = table_kind(kind)
+    if table is not None:
+        if not isinstance(value, Mapping):
+            raise InputError(path, value, "a table by name")
+        entries = dict(current or {})
+        for key, entry in value.items():
+            entry_path, old = _join(path, key), entries.get(key)
+            if not _is_section(table):
+                entries[key] = _converted(table, entry, entry_path)
+                continue
+            if old is None and isinstance(entry, Mapping) and not entry.keys() & {USE, OLD_USE}:
+                # A signal of this package needs no `use`: its name says it.
+                entry = {USE: key, **entry}
+            entries[key] = _build(table, old, entry, entry_path, importer)
+        return entries
+    if _is_section(kind):
+        return _build(kind, current, value, path, importer)
+    return _converted(kind, value, path)
+
+
+def _chosen(
+    kind: Any, current: Any, data: dict[str, Any], where: str, importer: Importer
+) -> tuple[type[Strategy], dict[str, Any]]:
+    """Returns the class of a strategy, and the fields that are given for it."""
+    if USE in data and OLD_USE in data and OLD_USE not in _all_names(kind):
+        raise InputError(_join(where, OLD_USE), data[OLD_USE], f"left out: {_join(where, USE)} says it")
+    is_old = USE not in data and OLD_USE in data
+    use = data.pop(USE, data.pop(OLD_USE, None) if is_old else None)
+    if use is None:
+        if current is None:
+            names = ", ".join(kind.registered())
+            raise InputError(_join(where, USE), None, f'given: one of {names}, or "module:Class"')
+        return type(current), data
+    strategy = importer.find(kind, use, _join(where, USE))
+    if is_old:
+        renamed = _RENAMED.get(kind.section, {})
+        data = {renamed.get(name, name): value for name, value in data.items()}
+        unused = _DROPPED.get(kind.section, set()) - _kinds(strategy).keys()
+        data = {name: value for name, value in data.items() if name not in unused}
+    return strategy, data
+
+
+def _all_names(kind: Any) -> set[str]:
+    return {name for strategy in kind.registered().values() for name in _kinds(strategy)}
+
+
+def _check_table(cls: Any, data: Any, where: str) -> None:
+    if not isinstance(data, Mapping):
+        raise InputError(where or "configuration", data, f"a table with fields of {_known(cls, where)}")
+
+
+def _known(cls: Any, where: str) -> str:
+    names = ([USE] if issubclass(cls, Strategy) else []) + list(_kinds(cls))
+    return f"{f'[{where}]' if where else 'the configuration'} ({', '.join(names)})"
 
 
 def _converted(kind: Any, value: Any, path: str) -> Any:
@@ -246,10 +373,18 @@ def _items(kind: Any, items: Sequence[Any], given: Any, path: str) -> list[tuple
     return list(zip(kinds, items, strict=True))
 
 
+def _plain(value: Any) -> Any:
+    if dataclasses.is_dataclass(value):
+        return to_dict(value)
+    if isinstance(value, Mapping):
+        return {name: _plain(entry) for name, entry in value.items()}
+    return [_plain(item) for item in value] if isinstance(value, tuple) else value
+
+
 def _described(kind: Any) -> str:
-    """Says in words what a type allows."""
+    """Returns in words what a type allows."""
     inner, or_none = optional(kind)
-    if dataclasses.is_dataclass(inner):
+    if _is_section(inner) or table_kind(inner) is not None:
         text = "a table"
     elif get_origin(inner) is Literal:
         text = f"one of {', '.join(get_args(inner))}"
@@ -263,12 +398,22 @@ def _described(kind: Any) -> str:
 @cache
 def _kinds(cls: Any) -> dict[str, Any]:
     """Returns the types of a dataclass's fields by name, in order."""
-    hints = get_type_hints(cls)
+    try:
+        hints = get_type_hints(cls)
+    except Exception as error:  # a user's annotations may refer to anything
+        raise InputError(cls.__name__, "its annotations", f"types that can be resolved ({error})") from None
     kinds = {field.name: hints[field.name] for field in dataclasses.fields(cls)}
     for name, kind in kinds.items():
-        if not (dataclasses.is_dataclass(kind) or _is_leaf(kind)):
-            raise TypeError(f"{cls.__name__}.{name}: a configuration field cannot be {kind}")
+        table = table_kind(kind)
+        if not (_is_leaf(kind) or _is_section(kind) or (table is not None and (_is_leaf(table) or _is_section(table)))):
+            shown = getattr(kind, "__name__", kind)
+            allowed = "int, float, str, bool, a Literal of strings, a tuple of these, or one of these or None"
+            raise InputError(f"{cls.__name__}.{name}", str(shown), f"a type that a configuration can hold: {allowed}")
     return kinds
+
+
+def _is_section(kind: Any) -> bool:
+    return inspect.isclass(kind) and dataclasses.is_dataclass(kind)
 
 
 def _is_leaf(kind: Any) -> bool:
@@ -280,11 +425,16 @@ def _is_leaf(kind: Any) -> bool:
 
 @cache
 def _attribute_texts(cls: type) -> dict[str, str]:
-    """Returns what the "Attributes:" part of a class's docstring says about each field, each on one line."""
-    _, _, part = inspect.cleandoc(cls.__doc__ or "").partition("Attributes:\n")
-    part = re.split(r"\n(?=\S)", part)[0]
-    entries = re.findall(r"^ {4}(\w+)(?: \(.*?\))?: (.*(?:\n {5,}.*)*)", part, flags=re.MULTILINE)
-    return {name: " ".join(text.split()) for name, text in entries}
+    """Returns the text about each field under "Attributes:" in the docstrings of a class and its bases, on one line."""
+    texts: dict[str, str] = {}
+    for base in reversed(cls.__mro__):
+        if not dataclasses.is_dataclass(base):
+            continue
+        _, _, part = inspect.cleandoc(base.__doc__ or "").partition("Attributes:\n")
+        part = re.split(r"\n(?=\S)", part)[0]
+        entries = re.findall(r"^ {4}(\w+)(?: \(.*?\))?: (.*(?:\n {5,}.*)*)", part, flags=re.MULTILINE)
+        texts.update((name, " ".join(text.split())) for name, text in entries)
+    return cast(dict[str, str], texts)
 
 
 def _join(where: str, name: str) -> str:

@@ -18,7 +18,6 @@ from murmurate.runs.presets import command
 from murmurate.runs.run import Run
 from murmurate.analysis.optimum.best_known import BestKnown, best_known, is_record
 from murmurate.analysis.optimum.formation import Target
-from murmurate.world import signal_names
 
 __all__ = ["EPISODES", "EVALUATION", "FRESH", "RECORD", "SEED", "TRAJECTORIES", "Evaluation", "evaluate", "wilson"]
 
@@ -59,8 +58,8 @@ class Evaluation:
         ran, validity = self.trajectories, self.validity
         episodes, total, bound = len(ran.lengths), float(ran.lengths.mean()), float(self.bound.mean())
         base = float((ran.switch[:, 0] if ran.switch.shape[1] else ran.lengths).mean())
-        names = ("collision_free", "mutually_visible", "gathered", "safe", "at_rest", "valid")
-        signal = {name: float(ran.signals[name][:, -1].mean()) for name in signal_names(self.experiment.objective)}
+        names = ("contact_free", "inside", "mutually_visible", "gathered", "safe", "at_rest", "valid")
+        signal = {name: float(ran.signals[name][:, -1].mean()) for name in self.experiment.signal_names}
         reached, known, best = sum(signal.values()), best_known(self.target), self.best
         return {
             "experiment": self.experiment.name,
@@ -108,7 +107,7 @@ class Evaluation:
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Returns what trajectories.npz holds."""
-        ran, names = self.trajectories, signal_names(self.experiment.objective)
+        ran, names = self.trajectories, self.experiment.signal_names
         signals = np.stack([ran.signals[name] for name in names], axis=-1).astype(np.float32)
         return {
             "positions": ran.positions.astype(np.float32),

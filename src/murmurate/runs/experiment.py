@@ -4,20 +4,21 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
 from murmurate.discovery import Problem
-from murmurate.errors import InputError, RunError, check_choice
+from murmurate.discovery.problem import GATHERING
+from murmurate.errors import InputError, RunError, check_choice, check_number
+from murmurate.registry import Importer, Strategy, source_folder
 from murmurate.runs import config_io, storage
-from murmurate.world import SensingConfig, scaled_to
+from murmurate.world import OBJECTIVES, FileStart, scaled_to
 
-__all__ = ["STARTS", "ExperimentConfig", "check_same", "check_seed", "load", "read_toml", "save"]
+__all__ = ["STARTS", "ExperimentConfig", "check_same", "check_seed", "load", "make_importer", "read_toml", "save"]
 
 STARTS = "starts.csv"
 """A run that begins at given positions keeps its own copy of them under this name."""
-
 
 MAX_SEED = 2**32 - 1
 
@@ -27,32 +28,61 @@ class ExperimentConfig(Problem):
     """An experiment.
 
     Attributes:
-        objective: C1 (gathering at the origin) or C2 (at no predefined point).
+        objective: C1 (gathering at the origin), C2 (at no predefined point) or custom (the signals of [signals] alone).
         seed: Seed of everything random.
-        sizes: Swarm sizes among which training goes about, each in a world grown to it; none: the world's own alone.
+        sizes: Swarm sizes among which training alternates, each in a world scaled to it; none: the world's own alone.
         name: What the experiment is called.
+        modules: Folders of the modules that "module:Class" names, by module; filled in where a run is written.
     """
 
-    objective: Literal["C1", "C2"]
+    objective: Literal["C1", "C2", "custom"]
     name: str
+    modules: Mapping[str, str] = field(default_factory=dict, kw_only=True)
 
     def __post_init__(self) -> None:
-        check_choice("objective", self.objective, ("C1", "C2"))
+        check_choice("objective", self.objective, tuple(OBJECTIVES))
         check_seed(self.seed)
         if not re.fullmatch(r"\w[\w .+-]{0,63}", self.name):
             raise InputError("name", self.name, "up to 64 letters, digits, spaces and . + - _")
+        self._check_signals()
         self._check_sensing()
         if self.sizes:
             self._check_sizes()
 
+    @property
+    def has_paper_objective(self) -> bool:
+        """Whether the objective is the paper's C1 or C2 with its own weights, so that best-known patterns compare."""
+        return self.objective != "custom" and not self.signals
+
+    def _check_signals(self) -> None:
+        """Refuses weights and thresholds of signals that the objective does not have."""
+        for name in self.signals:
+            if not re.fullmatch(r"[A-Za-z_]\w{0,31}", name) or name in (GATHERING, "total"):
+                allowed = f"a name of letters, digits and _, neither {GATHERING} nor total"
+                raise InputError("signals", name, allowed)
+        names = self.signal_names
+        gathering = [GATHERING] if {"close", "nclose"} & set(names) else []
+        for section, table, extra in (
+            ("base.weights", self.base.weights, gathering),
+            ("auxiliary.weights", self.auxiliary.weights, gathering),
+            ("valid", self.valid, []),
+        ):
+            for name, value in table.items():
+                if name not in (*names, *extra):
+                    raise InputError(f"{section}.{name}", value, f"for a signal of the objective ({', '.join(names)})")
+        for name, least in self.valid.items():
+            check_number(f"valid.{name}", least)
+
     def _check_sensing(self) -> None:
-        """Refuses eyes that the policy does not use, or that cannot serve the objective."""
-        usual = SensingConfig()
-        for name, value in vars(self.sensing).items():
-            if self.policy.kind != "local" and value != getattr(usual, name):
-                allowed = f"{getattr(usual, name)}: with the policy {self.policy.kind} robots act on all positions"
-                raise InputError(f"sensing.{name}", value, f"{allowed}; for eyes of their own choose the policy local")
-        if self.objective == "C1" and not self.sensing.landmark:
+        """Refuses sensing that the policy does not use, or that cannot serve the objective."""
+        usual = type(self).__dataclass_fields__["sensing"].default_factory()  # type: ignore[misc]
+        if not self.policy.perceives and self.sensing != usual:
+            given = config_io.to_dict(self.sensing)
+            standard = config_io.to_dict(usual)
+            name = next(name for name, value in given.items() if value != standard.get(name))
+            allowed = f"{standard.get(name, 'left out')}: with the policy {self.policy.name} robots act on all positions"
+            raise InputError(f"sensing.{name}", given[name], f"{allowed}; to act on their own view choose policy local")
+        if self.landmark and not self.sensing.landmark:
             reason = "true with objective C1: in frames of their own, robots find a given point only by a landmark"
             raise InputError("sensing.landmark", False, reason)
 
@@ -62,13 +92,21 @@ class ExperimentConfig(Problem):
             scaled_to(self.world, robots)
         if len(set(self.sizes)) < len(self.sizes):
             raise InputError("sizes", self.sizes, "different from each other")
-        if self.policy.kind == "central":
-            raise InputError("policy.kind", "central", "equivariant or local with sizes: central knows one size only")
-        if self.start.kind != "random":
-            raise InputError("start.kind", self.start.kind, "random with sizes: other starts are of one size")
+        if not self.policy.any_size:
+            allowed = f"equivariant or local with sizes: {self.policy.name} knows one size only"
+            raise InputError("policy.use", self.policy.name, allowed)
+        if self.start.name in ("scattered", "distributed", "packed") or not self.start.fits_any_size():
+            raise InputError("start.use", self.start.name, "random with sizes: other starts are of one size")
         if self.discovery.max_policies > 1:
             allowed = "1 with sizes: a swarm of any size runs one policy, and nobody tells it when to change"
             raise InputError("discovery.max_policies", self.discovery.max_policies, allowed)
+
+    def __repr__(self) -> str:
+        robots = f"{self.world.robots} robots" if not self.sizes else f"{min(self.sizes)} to {max(self.sizes)} robots"
+        return (
+            f"ExperimentConfig({self.name}: {robots}, {self.objective}, start {self.start.name}, "
+            f"policy {self.policy.name}, seed {self.seed})"
+        )
 
 
 def check_seed(seed: object) -> None:
@@ -82,18 +120,35 @@ def check_seed(seed: object) -> None:
 
 
 def read_toml(path: str | Path) -> dict[str, Any]:
-    """Reads a TOML file of an experiment, or of some of its fields; its `start.file` is relative to the TOML file.
+    """Reads a TOML file of an experiment, or of some of its fields; paths in it are relative to the TOML file.
 
     Raises:
         InputError: The file is not valid TOML.
         OSError: The file cannot be read.
     """
-    data = config_io.load_toml(path)
-    start = data.get("start")
+    data, folder = config_io.load_toml(path), Path(path).parent
+    start, modules = data.get("start"), data.get("modules")
     file = start.get("file") if isinstance(start, Mapping) else None
     if file and isinstance(file, str):
-        data = config_io.merged(data, {"start": {"file": str(Path(path).parent / file)}})
+        data = config_io.merged(data, {"start": {"file": str(folder / file)}})
+    if isinstance(modules, Mapping):
+        absolute = {name: str((folder / value).resolve()) for name, value in modules.items() if isinstance(value, str)}
+        data = config_io.merged(data, {"modules": absolute})
     return data
+
+
+def make_importer(data: Mapping[str, Any], folder: str | Path | None = None, trusted: bool = True) -> Importer:
+    """Returns what finds the classes that a configuration names.
+
+    Args:
+        data: The configuration as nested dictionaries: its `modules` name folders.
+        folder: The folder of the configuration file, where modules are looked for first.
+        trusted: Whether modules from outside the package may be imported.
+    """
+    modules = data.get("modules")
+    named = modules.values() if isinstance(modules, Mapping) else ()
+    folders = [folder, *(value for value in named if isinstance(value, str))]
+    return Importer(tuple(Path(value) for value in folders if value is not None), trusted)
 
 
 def save(config: ExperimentConfig, folder: str | Path) -> None:
@@ -102,23 +157,38 @@ def save(config: ExperimentConfig, folder: str | Path) -> None:
     Raises:
         RunError: A file cannot be written.
     """
-    folder, source = Path(folder), config.start.file
-    if source:
-        config = replace(config, start=replace(config.start, file=STARTS))
+    folder, start = Path(folder), config.start
+    modules = dict(config.modules)
+    for _, strategy in config_io.strategies(config):
+        source = source_folder(type(strategy)) if strategy.is_foreign() else None
+        if source is not None:
+            modules.setdefault(strategy.name.partition(":")[0].partition(".")[0], source)
+    config = replace(config, modules=modules)
+    if isinstance(start, FileStart):
+        config = replace(config, start=replace(start, file=STARTS))
     storage.write_text(folder / storage.EXPERIMENT, config_io.dump_toml(config))
-    if source:
-        storage.write_bytes(folder / STARTS, Path(source).read_bytes())
+    if isinstance(start, FileStart):
+        storage.write_bytes(folder / STARTS, Path(start.file).read_bytes())
 
 
-def load(folder: str | Path) -> ExperimentConfig:
+def load(
+    folder: str | Path, trusted: bool = False, imported: Mapping[str, type[Strategy]] | None = None
+) -> ExperimentConfig:
     """Reads the configuration of a run.
+
+    Args:
+        folder: The run folder.
+        trusted: Whether the modules that it names may be imported, which executes them.
+        imported: Classes that are imported already, by what configurations call them.
 
     Raises:
         RunError: It is missing or not one that this version understands.
     """
     path = Path(folder) / storage.EXPERIMENT
     try:
-        return config_io.from_dict(ExperimentConfig, read_toml(path))
+        data = read_toml(path)
+        importer = replace(make_importer(data, trusted=trusted), imported=imported or {})
+        return config_io.from_dict(ExperimentConfig, data, importer=importer)
     except InputError as error:
         raise RunError(f"{path}: {error}") from None
     except OSError as error:
@@ -131,14 +201,19 @@ def check_same(config: ExperimentConfig, folder: str | Path) -> None:
     Raises:
         RunError: It holds another; the message names the first field that differs.
     """
-    there = {leaf.path: leaf.value for leaf in config_io.leaves(load(folder))}
-    for leaf in config_io.leaves(config):
-        same = leaf.value == there[leaf.path]
-        if leaf.path == "start.file" and leaf.value and there[leaf.path]:
-            copy = Path(there[leaf.path])
-            same = not copy.exists() or copy.read_bytes() == Path(leaf.value).read_bytes()
+    # Nothing that only the folder names is imported.
+    imported = {part.name: type(part) for _, part in config_io.strategies(config) if part.is_foreign()}
+    recorded = {leaf.path: leaf.value for leaf in config_io.leaves(load(folder, imported=imported))}
+    given = {leaf.path: leaf.value for leaf in config_io.leaves(config)}
+    for path in dict.fromkeys((*given, *recorded)):
+        if path.startswith("modules."):
+            continue
+        old, new = recorded.get(path), given.get(path)
+        same = old == new
+        if path == "start.file" and old and new:
+            copy = Path(old)
+            same = not copy.exists() or copy.read_bytes() == Path(new).read_bytes()
         if not same:
             raise RunError(
-                f"{folder} holds another experiment: {leaf.path} is {there[leaf.path]!r} there, {leaf.value!r} here; "
-                "choose another folder"
+                f"{folder} holds another experiment: {path} is {old!r} there, {new!r} here; choose another folder"
             )

@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, cast
 
 from murmurate.discovery import DiscoveryConfig, RestRule, StageConfig
 from murmurate.errors import check_choice
 from murmurate.runs import config_io
-from murmurate.runs.experiment import ExperimentConfig, read_toml
+from murmurate.runs.experiment import ExperimentConfig, make_importer, read_toml
 from murmurate.runs.paper import EXPERIMENTS, NOISE, PaperExperiment, check_experiment
 from murmurate.learning import PPOConfig
-from murmurate.policies import PolicyConfig, PolicyKind
-from murmurate.world import StartConfig, WeightsConfig, WorldConfig
+from murmurate.policies import CentralPolicy, EquivariantPolicy, LocalPolicy, Policy
+from murmurate.world import OBJECTIVES, ScatteredStart, Start, WorldConfig
 
-__all__ = ["DEFAULT_LEARNER", "TRAINING_PRESETS", "EXPERIMENT_OVERRIDES", "TrainingPreset", "command", "paper_row", "preset", "resolve"]
+__all__ = ["DEFAULT_LEARNER", "TRAINING_PRESETS", "EXPERIMENT_OVERRIDES", "TrainingPreset", "command", "paper_row",
+"preset", "resolve"]
 
 
 @dataclass(frozen=True)
@@ -32,7 +33,7 @@ class TrainingPreset:
         rest: When a policy has come to rest.
     """
 
-    policy: PolicyConfig
+    policy: Policy
     base: StageConfig
     auxiliary: StageConfig
     discovery: DiscoveryConfig = field(default_factory=DiscoveryConfig)
@@ -44,16 +45,16 @@ class TrainingPreset:
 # fades: left to itself it stays, because noise frees a stuck robot, and the policy never learns to do so without it
 # (try --auxiliary.ppo.exploration learned).
 _EQUIVARIANT = TrainingPreset(
-    policy=PolicyConfig(kind="equivariant", hidden=(32, 16)),
+    policy=EquivariantPolicy(hidden=(32, 16)),
     base=StageConfig(
         ppo=PPOConfig(updates=60, policy_rate=2e-3, exploration="scheduled", log_std=-1.0, log_std_end=-2.5),
-        weights=WeightsConfig(gathering=3.0, visible=2.0),
+        weights={"gathering": 3.0, "visible": 2.0},
         horizon=160,
         repeat=4,
     ),
     auxiliary=StageConfig(
         ppo=PPOConfig(updates=60, exploration="scheduled", log_std=-0.7, log_std_end=-3.5),
-        weights=WeightsConfig(gathering=2.0, safety=3.0, neighbors=2.0, visible=4.0),
+        weights={"gathering": 2.0, "safety": 3.0, "neighbors": 2.0, "visible": 4.0},
         horizon=120,
         repeat=2,
         warm_start=True,
@@ -63,17 +64,17 @@ _EQUIVARIANT = TrainingPreset(
 # The paper's method, with measured numbers. What serves the other learner (fading exploration, credit robot by robot,
 # longer repeats) makes this one erratic: some seeds gain, others lose every pattern.
 _CENTRAL = TrainingPreset(
-    policy=PolicyConfig(kind="central", hidden=(128, 128), credit="swarm"),
+    policy=CentralPolicy(hidden=(128, 128), credit="swarm"),
     base=StageConfig(
         ppo=PPOConfig(updates=100, epochs=4, minibatches=16),
-        weights=WeightsConfig(visible=2.0),
+        weights={"visible": 2.0},
         horizon=200,
         repeat=2,
         random_share=0.0,
     ),
     auxiliary=StageConfig(
         ppo=PPOConfig(updates=270, epochs=4, minibatches=16, discount=0.90),
-        weights=WeightsConfig(gathering=1.0, safety=2.0, neighbors=2.0, visible=4.0),
+        weights={"gathering": 1.0, "safety": 2.0, "neighbors": 2.0, "visible": 4.0},
         horizon=60,
     ),
     discovery=DiscoveryConfig(max_policies=2),
@@ -95,14 +96,14 @@ _PAPER_PPO: dict[str, Any] = {
     "reward_scale": 1.0,
 }
 _PAPER = TrainingPreset(
-    policy=PolicyConfig(kind="central", hidden=(400, 300, 300), credit="swarm"),
+    policy=CentralPolicy(hidden=(400, 300, 300), credit="swarm"),
     base=StageConfig(ppo=PPOConfig(**_PAPER_PPO, discount=0.95, gae_lambda=0.95), horizon=800, random_share=0.0),
     auxiliary=StageConfig(ppo=PPOConfig(**_PAPER_PPO, discount=0.85, gae_lambda=0.99), horizon=400, noise=0.0),
     discovery=DiscoveryConfig(max_policies=2),
     rest=RestRule(max_steps=800),
 )
 
-_LOCAL = replace(_EQUIVARIANT, policy=replace(_EQUIVARIANT.policy, kind="local"))
+_LOCAL = replace(_EQUIVARIANT, policy=LocalPolicy(hidden=(32, 16)))
 
 TRAINING_PRESETS = {"equivariant": _EQUIVARIANT, "central": _CENTRAL, "local": _LOCAL, "paper": _PAPER}
 """Learners by name: one for each kind of policy, and the paper's own numbers."""
@@ -133,62 +134,88 @@ change from the base policy to the next. A's third policy brings the last of its
 """
 
 
-def preset(name: str, learner: str = DEFAULT_LEARNER) -> ExperimentConfig:
+def preset(name: str, learner: str = DEFAULT_LEARNER, objective: str | None = None) -> ExperimentConfig:
     """Returns one of the paper's experiments.
 
     Args:
         name: A to F.
-        learner: Whose numbers: equivariant, central or paper.
+        learner: The training preset: equivariant, central, local or paper.
+        objective: An objective to use instead of the experiment's own.
 
     Raises:
-        InputError: There is no such experiment or learner.
+        InputError: There is no such experiment, training preset or objective.
     """
     check_choice("experiment", name, tuple(EXPERIMENTS))
     row = EXPERIMENTS[name]
-    config = _experiment(name, row.objective, _world(row), StartConfig(kind=row.start, noise=NOISE), learner)
+    start = cast(Start, Start.registered()[row.start](noise=NOISE))  # type: ignore[call-arg]
+    config = _experiment(name, objective or row.objective, _world(row), start, learner)
     return config_io.replaced(config, EXPERIMENT_OVERRIDES.get(name, {})) if learner == DEFAULT_LEARNER else config
 
 
-def resolve(experiment: str, *overlays: Mapping[str, Any], learner: str | None = None) -> ExperimentConfig:
+def resolve(
+    experiment: str | Path | ExperimentConfig,
+    *overlays: Mapping[str, Any],
+    learner: str | None = None,
+    folders: Sequence[Path] = (),
+) -> ExperimentConfig:
     """Puts an experiment together.
 
     Args:
-        experiment: A to F, or a TOML file whose fields replace those of a scattered ten-robot experiment.
+        experiment: A to F, a TOML file whose fields replace those of a scattered ten-robot experiment, or a
+            configuration.
         *overlays: Fields to replace, as nested dictionaries; later ones win.
-        learner: Whose numbers; by default those of the kind of policy.
+        learner: The training preset; by default that of the policy.
+        folders: Folders in which modules of "module:Class" are looked for, after that of the TOML file.
 
     Raises:
         InputError: An experiment, field or value is unknown or not allowed.
         OSError: A file cannot be read.
     """
-    check_experiment(experiment)
-    named = experiment in EXPERIMENTS
+    if isinstance(experiment, ExperimentConfig):
+        importer = replace(make_importer({"modules": experiment.modules}), folders=tuple(folders))
+        return config_io.replaced(experiment, config_io.merged({}, *overlays), importer=importer)
+    check_experiment(str(experiment))
+    named = str(experiment) in EXPERIMENTS
     data = config_io.merged({} if named else read_toml(experiment), *overlays)
+    importer = make_importer(data, None if named else Path(experiment).parent)
+    importer = replace(importer, folders=(*importer.folders, *folders))
     chosen = _learner_name(learner, data)
+    objective = data.get("objective")
+    if objective is not None:
+        check_choice("objective", objective, tuple(OBJECTIVES))
+    if objective == "custom":
+        # An objective without any signal is refused, so the user's signals are part of the first configuration already.
+        objective = None
     if named:
-        return config_io.replaced(preset(experiment, chosen), data)
+        return config_io.replaced(preset(str(experiment), chosen, objective), data, importer=importer)
     data.setdefault("name", Path(experiment).stem)
-    return config_io.replaced(_experiment("unnamed", "C1", WorldConfig(), StartConfig(), chosen), data)
+    base = _experiment("unnamed", objective or "C1", WorldConfig(), ScatteredStart(), chosen)
+    return config_io.replaced(base, data, importer=importer)
 
 
 def command(config: ExperimentConfig) -> str:
-    """Writes the command that discovers an experiment: a flag for each field that is not as in the paper's experiment.
+    """Returns the command that discovers an experiment: a flag for each field that is not as in the paper's experiment.
 
     An experiment that is none of the paper's is in a file of its name.
     """
     if config.name not in EXPERIMENTS:
         return shlex.join(["murmurate", "discover", f"{config.name}.toml", "--seed", str(config.seed)])
-    kind = config.policy.kind
+    policy = config.policy.name
     words = ["murmurate", "discover", config.name, "--seed", str(config.seed)]
-    words += ["--policy", kind] if kind != DEFAULT_LEARNER else []
-    for usual, leaf in zip(config_io.leaves(preset(config.name, kind)), config_io.leaves(config), strict=True):
-        if leaf.value != usual.value and leaf.path != "seed":
+    words += ["--policy", policy] if policy != DEFAULT_LEARNER else []
+    learner = policy if policy in TRAINING_PRESETS else DEFAULT_LEARNER
+    usual = {leaf.path: leaf.value for leaf in config_io.leaves(preset(config.name, learner))}
+    for leaf in config_io.leaves(config):
+        is_given = leaf.path in ("seed", "policy.use") or leaf.path.startswith("modules.")
+        if not is_given and leaf.value != usual.get(leaf.path):
             words += [f"--{leaf.path}", config_io.spelled(leaf.value)]
     return shlex.join(words)
 
 
 def paper_row(config: ExperimentConfig) -> PaperExperiment | None:
     """Returns the experiment of the paper that has this world, objective and start; None when there is none."""
+    if not config.has_paper_objective:
+        return None
     for name, row in EXPERIMENTS.items():
         own = preset(name)
         if (config.world, config.objective, config.start) == (own.world, own.objective, own.start):
@@ -196,7 +223,7 @@ def paper_row(config: ExperimentConfig) -> PaperExperiment | None:
     return None
 
 
-def _experiment(name: str, objective: Any, world: WorldConfig, start: StartConfig, learner: str) -> ExperimentConfig:
+def _experiment(name: str, objective: Any, world: WorldConfig, start: Start, learner: str) -> ExperimentConfig:
     check_choice("learner", learner, tuple(TRAINING_PRESETS))
     numbers = TRAINING_PRESETS[learner]
     return ExperimentConfig(
@@ -226,10 +253,11 @@ def _world(row: PaperExperiment) -> WorldConfig:
 
 
 def _learner_name(learner: str | None, data: Mapping[str, Any]) -> str:
-    """Returns the learner that was asked for, by its name or by the kind of policy."""
+    """Returns the training preset that was asked for, by its name or by the policy."""
     if learner is not None:
         return learner
     policy = data.get("policy")
-    kind = policy.get("kind", DEFAULT_LEARNER) if isinstance(policy, Mapping) else DEFAULT_LEARNER
-    check_choice("policy.kind", kind, get_args(PolicyKind))
-    return kind
+    if isinstance(policy, Mapping):
+        policy = policy.get(config_io.USE, policy.get(config_io.OLD_USE))
+    use = policy.name if isinstance(policy, Policy) else policy
+    return use if isinstance(use, str) and use in TRAINING_PRESETS and use != "paper" else DEFAULT_LEARNER

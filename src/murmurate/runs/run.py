@@ -12,13 +12,12 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from murmurate.discovery import Cascade, Discovery, Trajectories, policy_name
+from murmurate.discovery import Cascade, Trajectories, build_cascade, policy_name, policy_templates
 from murmurate.errors import BeyondTrainingWarning, InputError, RunError, check_number
 from murmurate.runs import experiment as configuration
 from murmurate.runs import storage, serialization
-from murmurate.runs.checkpoint import policy_templates
 from murmurate.runs.experiment import ExperimentConfig
-from murmurate.world import LocalObservation, SchedulerWrapper, World, check_configurations, draw_starts
+from murmurate.world import FileStart, World, check_configurations, draw_starts
 
 __all__ = ["MAX_EPISODES", "METRICS", "Run", "check_draw", "policy_files"]
 
@@ -62,16 +61,15 @@ class Run:
         files = policy_files(len(names)) if isinstance(names, list) else ()
         if not files or not {storage.EXPERIMENT, *files} <= manifest["checksums"].keys():
             raise RunError(f"{folder / storage.MANIFEST} does not list every policy with its checksum")
+        templates = policy_templates(experiment, len(files))
+        policies = [serialization.load(folder / file, like) for file, like in zip(files, templates, strict=True)]
         try:
-            discovery = Discovery(experiment)
+            return cls(folder, experiment, build_cascade(experiment, policies), manifest)
         except InputError as error:
             raise RunError(f"{folder / storage.EXPERIMENT}: {error}") from None
-        templates = policy_templates(discovery, len(files))
-        policies = [serialization.load(folder / file, like) for file, like in zip(files, templates, strict=True)]
-        return cls(folder, experiment, discovery.cascade(tuple(policies)), manifest)
 
     @property
-    def world(self) -> World | SchedulerWrapper | LocalObservation:
+    def world(self) -> World:
         """The experiment's world, all weights 1."""
         return self.cascade.world
 
@@ -86,9 +84,9 @@ class Run:
         own = self.experiment.world.robots
         if robots == own:
             return self
-        if self.experiment.policy.kind == "central":
-            raise InputError("robots", robots, f"{own}: the policy central is of one size")
-        if self.experiment.start.kind == "file":
+        if not self.experiment.policy.any_size:
+            raise InputError("robots", robots, f"{own}: the policy {self.experiment.policy.name} is of one size")
+        if not self.experiment.start.fits_any_size():
             raise InputError("robots", robots, f"{own}, as in the run's file of starts")
         changed = self.under(self.experiment.of_size(robots))
         self.warn_of_size(robots)
@@ -107,7 +105,7 @@ class Run:
         Raises:
             InputError: The experiment is impossible.
         """
-        return replace(self, experiment=experiment, cascade=Discovery(experiment).cascade(self.cascade.policies))
+        return replace(self, experiment=experiment, cascade=build_cascade(experiment, self.cascade.policies))
 
     def save(self, folder: str | Path) -> Path:
         """Writes the run, as it is, to a folder of its own; without an evaluation.
@@ -124,7 +122,7 @@ class Run:
             serialization.save(folder / file, policy)
         if (self.folder / METRICS).is_file():
             storage.write_bytes(folder / METRICS, (self.folder / METRICS).read_bytes())
-        kept = [storage.EXPERIMENT, *([configuration.STARTS] if self.experiment.start.file else []), *files]
+        kept = [storage.EXPERIMENT, *([configuration.STARTS] if isinstance(self.experiment.start, FileStart) else []), *files]
         manifest = {**self.manifest, "robots": self.experiment.world.robots}
         storage.write_json(folder / storage.MANIFEST, {**manifest, "checksums": storage.checksums(folder, kept)})
         return folder
@@ -142,7 +140,7 @@ class Run:
         check_draw(episodes, key)
         if isinstance(key, int | np.integer):
             key = jax.random.fold_in(jax.random.key(int(key)), _HELD_OUT)
-        return draw_starts(self.world.start, key, int(episodes))
+        return draw_starts(self.world.start, key, int(episodes), self.world.config)
 
     def rollout(self, starts: int | Float[Array, " ..."] | Any = 1, key: int | PRNGKeyArray = 0) -> Trajectories:
         """Executes the cascade.

@@ -26,7 +26,7 @@ RESULTS = (
     "policy",
     "seed",
     "valid",
-    "collision-free",
+    "contact-free",
     "at rest",
     "base steps",
     "auxiliary steps",
@@ -65,7 +65,8 @@ def comparison(summary: Mapping[str, Any], row: PaperExperiment | None) -> tuple
         ("total steps", paper[2], steps[2]),
         ("kinematic bound, steps", NONE, f"{summary['bound_steps']:.2f}"),
         ("total / bound", NONE, _times(summary)),
-        ("collision-free", NONE, _count(summary, "collision_free")),
+        ("contact-free", NONE, _count(summary, "contact_free")),
+        ("inside", NONE, _count(summary, "inside")),
         ("at rest", NONE, _count(summary, "at_rest")),
         ("gathered", NONE, _count(summary, "gathered")),
         ("mutually visible", NONE, _count(summary, "mutually_visible")),
@@ -96,10 +97,10 @@ def _result(folder: Path) -> Row:
         raise RunError(f"{folder / storage.MANIFEST} is incomplete: {error}") from None
     return (
         config.name,
-        config.policy.kind,
+        config.policy.name,
         str(config.seed),
         _count(summary, "valid"),
-        _count(summary, "collision_free"),
+        _count(summary, "contact_free"),
         _count(summary, "at_rest"),
         f"{summary['base_steps']:.1f}",
         f"{summary['auxiliary_steps']:.1f}",
@@ -121,7 +122,10 @@ def read_evaluation(folder: str | Path) -> dict[str, Any]:
     """
     path = Path(folder) / EVALUATION
     summary = storage.read_json(path)
-    needed = {"starts", "episodes", "valid", "valid_interval", "collision_free", "mutually_visible", "gathered", "safe"}
+    if isinstance(summary, dict) and "collision_free" in summary:
+        # Version 0.1.0 counted contact and leaving the world together.
+        summary = {**summary, "contact_free": summary["collision_free"], "inside": summary["collision_free"]}
+    needed = {"starts", "episodes", "valid", "valid_interval", "contact_free", "inside", "mutually_visible", "gathered", "safe"}
     needed |= {"at_rest", "base_steps", "auxiliary_steps", "total_steps", "bound_steps"}
     missing = needed - (summary.keys() if isinstance(summary, dict) else set())
     if missing:

@@ -1,4 +1,4 @@
-"""A discovery from start to finish: trains, keeps checkpoints, evaluates, and leaves a run folder."""
+"""A search from start to finish: trains, keeps checkpoints, evaluates, and leaves a run folder."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import Any
 import jax
 
 from murmurate import __version__
-from murmurate.discovery import Discovery, advance_together, policy_name
+from murmurate.discovery import Search, advance_together, build_cascade, check_parts, policy_name
 from murmurate.runs import checkpoint, copies, storage, serialization
 from murmurate.runs import experiment as configuration
 from murmurate.runs.checkpoint import Checkpoint
@@ -21,6 +21,7 @@ from murmurate.runs.experiment import ExperimentConfig
 from murmurate.runs.evaluate import EPISODES, evaluate
 from murmurate.runs.run import METRICS, Run, policy_files
 from murmurate.learning import hosts
+from murmurate.world import FileStart
 
 __all__ = ["NOTHING_VALID", "VALID", "discover", "discover_together"]
 
@@ -63,16 +64,16 @@ def discover_together(
     on_progress: Callable[..., None] | None = None,
     on_metrics: Callable[[Path], None] | None = None,
 ) -> list[Run]:
-    """Runs many discoveries side by side, those of the same shapes in one compiled program, each to its own folder.
+    """Runs many searches side by side, those of the same shapes in one compiled program, each to its own folder.
 
-    Meant for an accelerator, which one discovery does not keep busy; on a CPU it takes longer than one after the other.
+    Meant for an accelerator, which one search does not keep busy; on a CPU it takes longer than one after the other.
 
     On several hosts (`jax.distributed`) all call it alike and the first one's folder is the run's; see `copies`.
 
     Args:
         configs: What to discover, and how, by the run folder.
         resume: Continue what the folders hold.
-        on_progress: See `discover`; told of is the discovery that is furthest behind, with means over all.
+        on_progress: See `discover`; told of is the search that is furthest behind, with means over all.
         on_metrics: See `discover`; called for every folder.
 
     Returns:
@@ -96,19 +97,20 @@ def _discover(
     for folder, config in configs.items():
         if storage.look(folder, resume) != "new":
             configuration.check_same(config, folder)
-    discoveries = {folder: Discovery(config) for folder, config in configs.items()}
-    for discovery in discoveries.values():
-        discovery.check_devices()
+    searches = {folder: Search(config) for folder, config in configs.items()}
+    for search in searches.values():
+        check_parts(search.problem)
+        search.check_devices()
     works = []
-    for folder, discovery in discoveries.items():
+    for folder, search in searches.items():
         if storage.claim(folder, resume) == "finished":
             checkpoint.remove(folder)
             watch(folder)
             continue
         configuration.save(configs[folder], folder)
-        point = checkpoint.load(folder, discovery)
+        point = checkpoint.load(folder, search)
         storage.truncate_lines(folder / METRICS, point.rows)
-        works.append(_Work(configs[folder], folder, discovery, point))
+        works.append(_Work(configs[folder], folder, search, point))
         watch(folder)
     ran = {work.folder: _finish(work, tell) for work in _train(works, tell, watch)}
     return [ran.get(folder) or Run.open(folder) for folder in configs]
@@ -116,18 +118,18 @@ def _discover(
 
 @dataclass(frozen=True, eq=False)
 class _Work:
-    """A discovery under way.
+    """A search under way.
 
     Attributes:
         config: What is to be discovered, and how.
         folder: Its run folder.
-        discovery: The search.
+        search: The search.
         point: How far it has come.
     """
 
     config: ExperimentConfig
     folder: Path
-    discovery: Discovery
+    search: Search
     point: Checkpoint
 
     @property
@@ -157,13 +159,13 @@ def _train(works: Sequence[_Work], tell: Callable[..., None], watch: Callable[[P
 def _advance(works: Sequence[_Work]) -> tuple[list[_Work], list[dict[str, Any]]]:
     """Runs one chunk of updates of each and keeps what came of it; returns the last row of metrics of each as well."""
     begun = time.perf_counter()
-    advanced = advance_together([work.discovery for work in works], [work.point.snapshot for work in works])
+    advanced = advance_together([work.search for work in works], [work.point.snapshot for work in works])
     took = time.perf_counter() - begun
     after, last = [], []
     for work, (snapshot, rows) in zip(works, advanced, strict=True):
         point, index = work.point, len(work.point.snapshot.policies)
-        trained = _environment_steps(work.discovery, index)
-        steps = rows[-1]["policy_steps"] - work.discovery.steps(index, rows[0]["update"] - 1)
+        trained = _environment_steps(work.search, index)
+        steps = rows[-1]["policy_steps"] - work.search.curriculum.steps(index, rows[0]["update"] - 1)
         # Of the time that all took together, each is charged an equal part.
         share = took / len(works)
         done = [
@@ -185,9 +187,9 @@ def _advance(works: Sequence[_Work]) -> tuple[list[_Work], list[dict[str, Any]]]
     return after, last
 
 
-def _environment_steps(discovery: Discovery, policies: int) -> int:
+def _environment_steps(search: Search, policies: int) -> int:
     """Counts the steps that training the first policies of the list took; evaluations are not training."""
-    return sum(discovery.steps(index, discovery.problem.stage(index).ppo.updates) for index in range(policies))
+    return sum(search.curriculum.steps(index, search.problem.stage(index).ppo.updates) for index in range(policies))
 
 
 def _tell(
@@ -209,23 +211,23 @@ def _tell(
         values["valid"] = statistics.fmean(work.point.snapshot.valid for work in after)
     name = f"{policy_name(index)} policy{f' {index}' if index > 1 else ''}"
     work = f"{name} of {len(works)} runs" if len(works) > 1 else name
-    tell(work, done, works[behind].discovery.problem.stage(index).ppo.updates, **values)
+    tell(work, done, works[behind].search.problem.stage(index).ppo.updates, **values)
 
 
 def _finish(work: _Work, tell: Callable[..., None]) -> Run:
     """Writes policies, evaluation and, last of all, the manifest: from then on the run is finished."""
-    discovery, config, folder, point = work.discovery, work.config, work.folder, work.point
+    search, config, folder, point = work.search, work.config, work.folder, work.point
     snapshot = point.snapshot
     tell("evaluation", 0, EPISODES, note=f"{EPISODES} fresh starts")
     files = policy_files(len(snapshot.policies))
     storage.make_folder(folder / "policies")
     for file, policy in zip(files, snapshot.policies, strict=True):
         serialization.save(folder / file, policy)
-    run = Run(folder, config, discovery.cascade(snapshot.policies), {})
+    run = Run(folder, config, build_cascade(config, snapshot.policies), {})
     evaluation = evaluate(run)
     evaluation.save(folder)
     tell("evaluation", EPISODES, EPISODES, valid=float(evaluation.validity.valid.mean()))
-    kept = [storage.EXPERIMENT, *([configuration.STARTS] if config.start.file else []), *files]
+    kept = [storage.EXPERIMENT, *([configuration.STARTS] if isinstance(config.start, FileStart) else []), *files]
     discovered = len(snapshot.sigma) > 0 and bool(evaluation.validity.valid.any())
     manifest = {
         "format": storage.FORMAT,
@@ -239,7 +241,7 @@ def _finish(work: _Work, tell: Callable[..., None]) -> Run:
         "robots": config.world.robots,
         "outcome": VALID if discovered else NOTHING_VALID,
         "policies": [policy_name(index) for index in range(len(files))],
-        "environment_steps": _environment_steps(discovery, len(files)),
+        "environment_steps": _environment_steps(search, len(files)),
         "train_seconds": round(point.seconds, 3),
         "checksums": storage.checksums(folder, kept),
     }

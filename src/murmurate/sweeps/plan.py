@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from murmurate.discovery import Discovery
+from murmurate.discovery import Search
 from murmurate.errors import InputError, RunError, check_choice, suggestion
 from murmurate.runs import config_io, presets, storage
 from murmurate.runs.experiment import ExperimentConfig, check_same, check_seed, save
@@ -267,7 +267,7 @@ def _made(experiment: str, learner: str | None, told: Mapping[str, Any]) -> Expe
     """Puts an experiment together, and makes sure that its world is possible."""
     try:
         config = presets.resolve(experiment, config_io.nested(told), learner=learner)
-        Discovery(config)
+        Search(config)
     except InputError as error:
         raise InputError(error.field, error.value, f"{error.allowed} (in experiment {experiment})") from None
     return config
@@ -276,7 +276,7 @@ def _made(experiment: str, learner: str | None, told: Mapping[str, Any]) -> Expe
 def _name(config: ExperimentConfig, learner: str | None, told: Mapping[str, Any]) -> str:
     """Names a run's folder by all in which it was told to be different."""
     values = {leaf.path: leaf.value for leaf in config_io.leaves(config)}
-    parts = [config.name, learner or config.policy.kind, f"seed{config.seed}"]
+    parts = [config.name, learner or config.policy.name, f"seed{config.seed}"]
     parts += [f"{path}={config_io.spelled(values[path])}" for path in told]
     name = re.sub(r"[^\w.,+=-]+", "_", "-".join(parts))
     if len(name) <= _LONGEST:

@@ -22,7 +22,7 @@ PARQUET = "results.parquet"
 
 Row = dict[str, Any]
 
-_SHARES = ("valid", "collision_free", "mutually_visible", "gathered", "safe", "at_rest")
+_SHARES = ("valid", "contact_free", "inside", "mutually_visible", "gathered", "safe", "at_rest")
 _MEANS = ("base_steps", "auxiliary_steps", "total_steps", "bound_steps", "efficiency", "best_known", "gap")
 
 MEASURED = (
@@ -61,7 +61,7 @@ def _row(name: str, config: ExperimentConfig, swept: Sequence[str], folder: Path
         "error": error,
         "experiment": config.name,
         "objective": config.objective,
-        "policy": config.policy.kind,
+        "policy": config.policy.name,
         "robots": config.world.robots,
         "seed": config.seed,
         **{path: values[path] for path in swept},

@@ -1,61 +1,92 @@
-"""The Markov decision process: world, signals, objective and starts. Knows geometry and nothing of learning."""
+"""The Markov decision process: world, signals, objective, starts, sensing and schedulers. Knows nothing of learning."""
 
+from murmurate.types import Observation, Transition, View
 from murmurate.world.config import WorldConfig, scaled_to
-from murmurate.world.perception import LocalObservation, Observation, ObservedState
-from murmurate.world.scheduling import ScheduledState, SchedulerConfig, SchedulerKind, SchedulerWrapper, epochs_of
-from murmurate.world.sensing import Frames, SensingConfig, SensingKind, View, draw_frames, perceive
-from murmurate.world.signals import OBJECTIVES, Objective, WeightsConfig, signal_names, signals
+from murmurate.world.env import (
+    ActionRepeat,
+    LocalObservation,
+    ObservedState,
+    ScheduledState,
+    SchedulerWrapper,
+    State,
+    World,
+    Wrapper,
+    with_array_leaves,
+)
+from murmurate.world.randomness import new_key
+from murmurate.world.scheduling import (
+    Activation,
+    AsyncScheduler,
+    Clock,
+    FsyncScheduler,
+    Scheduler,
+    SsyncScheduler,
+)
+from murmurate.world.sensing import Frames, GlobalSensing, ScanSensing, Sensing, VisibleSensing
+from murmurate.world.signals import OBJECTIVES, Configuration, Objective, Signal, objective_signals
 from murmurate.world.starts import (
+    DistributedStart,
+    Family,
+    FileStart,
     JitteredStart,
     MixtureStart,
+    PackedStart,
+    ScatteredStart,
     Start,
-    StartConfig,
+    SymmetricStart,
     UniformStart,
     check_configurations,
+    check_start,
     draw_starts,
-    layout,
-    make_start,
     read_starts,
+    redraw_overlaps,
 )
-from murmurate.world.symmetric import Family, family, symmetric_starts
-from murmurate.world.world import State, Transition, World
 
 __all__ = [
     "OBJECTIVES",
+    "ActionRepeat",
+    "Activation",
+    "AsyncScheduler",
+    "Clock",
+    "Configuration",
+    "DistributedStart",
     "Family",
+    "FileStart",
     "Frames",
+    "FsyncScheduler",
+    "GlobalSensing",
     "JitteredStart",
     "LocalObservation",
     "MixtureStart",
     "Objective",
     "Observation",
     "ObservedState",
+    "PackedStart",
+    "ScanSensing",
+    "ScatteredStart",
     "ScheduledState",
-    "SchedulerConfig",
-    "SchedulerKind",
+    "Scheduler",
     "SchedulerWrapper",
-    "SensingConfig",
-    "SensingKind",
+    "Sensing",
+    "Signal",
+    "SsyncScheduler",
     "Start",
-    "StartConfig",
     "State",
+    "SymmetricStart",
     "Transition",
     "UniformStart",
     "View",
-    "WeightsConfig",
+    "VisibleSensing",
     "World",
     "WorldConfig",
+    "Wrapper",
     "check_configurations",
-    "draw_frames",
+    "check_start",
     "draw_starts",
-    "epochs_of",
-    "family",
-    "layout",
-    "make_start",
-    "perceive",
+    "new_key",
+    "objective_signals",
     "read_starts",
+    "redraw_overlaps",
     "scaled_to",
-    "signal_names",
-    "signals",
-    "symmetric_starts",
+    "with_array_leaves",
 ]

@@ -1,4 +1,7 @@
-"""Randomness that an episode carries along: one key each, kept as plain numbers with the batch last."""
+"""Randomness that an episode carries along: one key each, kept as plain numbers with the batch last.
+
+The generator is named explicitly, so that a seed means the same numbers whatever JAX's default is.
+"""
 
 from __future__ import annotations
 
@@ -9,30 +12,44 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray, UInt32
 
-__all__ = ["each", "episode_keys", "following", "plain", "wrapped"]
+__all__ = ["draw_each", "episode_keys", "key_data", "new_key", "next_keys", "wrap_keys"]
+
+GENERATOR = "threefry2x32"
+
+
+def new_key(seed: Any) -> PRNGKeyArray:
+    """Returns the key of a seed."""
+    return jax.random.key(seed, impl=GENERATOR)
 
 
 def episode_keys(seed: Any, positions: Float[Array, "robots 2 *batch"]) -> PRNGKeyArray:
     """Returns a key for the episode that begins at a configuration, or for each of a batch."""
-    key = jax.random.key(seed)
+    key = new_key(seed)
     return jax.random.split(key, positions.shape[2:]) if positions.ndim > 2 else key
 
 
-def each(draw: Callable[[PRNGKeyArray], Any], keys: PRNGKeyArray) -> Any:
-    """Draws for one episode, or for each of a batch, which is then the last axis."""
-    return draw(keys) if keys.ndim == 0 else jax.vmap(draw, out_axes=-1)(keys)
+def draw_each(draw: Callable[..., Any], *arguments: Any) -> Any:
+    """Draws for one episode, or for each of a batch, which is then the last axis.
+
+    Args:
+        draw: Called with the arguments of one episode, the first of them its key.
+        *arguments: The keys, then PyTrees of arrays with the batch last.
+    """
+    if arguments[0].ndim == 0:
+        return draw(*arguments)
+    return jax.vmap(draw, in_axes=(0, *[-1] * (len(arguments) - 1)), out_axes=-1)(*arguments)
 
 
-def following(keys: PRNGKeyArray, number: int = 1) -> PRNGKeyArray:
-    """Returns other keys, so that what is drawn next, or for something else, has nothing to do with what was drawn."""
+def next_keys(keys: PRNGKeyArray, number: int = 1) -> PRNGKeyArray:
+    """Returns other keys, so that what is drawn next, or for another purpose, is independent of what was drawn."""
     return jax.random.fold_in(keys, number) if keys.ndim == 0 else jax.vmap(jax.random.fold_in, (0, None))(keys, number)
 
 
-def plain(keys: PRNGKeyArray) -> UInt32[Array, "two *batch"]:
+def key_data(keys: PRNGKeyArray) -> UInt32[Array, "two *batch"]:
     """Returns the numbers of keys, as a state holds them."""
     return jnp.moveaxis(jax.random.key_data(keys), -1, 0)
 
 
-def wrapped(numbers: UInt32[Array, "two *batch"]) -> PRNGKeyArray:
+def wrap_keys(numbers: UInt32[Array, "two *batch"]) -> PRNGKeyArray:
     """Returns the keys that have these numbers."""
-    return jax.random.wrap_key_data(jnp.moveaxis(numbers, 0, -1))
+    return jax.random.wrap_key_data(jnp.moveaxis(numbers, 0, -1), impl=GENERATOR)

@@ -1,12 +1,15 @@
 """The paper's signals, each normalised so that 1 is its best, and the objective: their weighted sum.
 
-Like the geometry, these kernels take `(robots, 2, *batch)` and work in NumPy or JAX, whichever they are given.
+A signal measures a configuration robot by robot; the signal is the mean over the robots. Signals take the batch last,
+and work in NumPy or JAX, whichever holds the positions.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from abc import abstractmethod
+from collections.abc import Mapping
+from functools import cached_property
+from typing import Any, ClassVar
 
 import equinox as eqx
 from jaxtyping import Bool, Float
@@ -14,189 +17,258 @@ from jaxtyping import Bool, Float
 from murmurate.errors import GREATEST, InputError, check_number
 from murmurate.geometry import distances, hides, neighbors_and_visible
 from murmurate.geometry.visibility import Array, as_configuration
+from murmurate.registry import Strategy
+from murmurate.world.config import WorldConfig
 
-__all__ = ["OBJECTIVES", "Objective", "WeightsConfig", "gathering_signal", "shares", "signal_names", "signals"]
-
-OBJECTIVES = {"C1": "close", "C2": "nclose"}
-"""The gathering signal of each objective: at the origin (the paper's C1) or at no predefined point (C2)."""
+__all__ = ["OBJECTIVES", "Configuration", "Objective", "Signal", "objective_signals"]
 
 
-@dataclass(frozen=True)
-class WeightsConfig:
-    """Weights of the objective's signals; the paper's are all 1.
+class Configuration:
+    """The positions of all robots, with what follows from them: computed when first asked for, and then shared.
 
     Attributes:
-        gathering: Weight of the gathering signal: close (C1) or nclose (C2).
-        safety: Weight of the safety signal.
-        neighbors: Weight of the neighbors signal.
-        visible: Weight of the visible signal.
+        positions: Centres, world units.
+        world: Sizes of the world and its robots.
+        xp: The namespace of the arrays: NumPy or JAX.
     """
 
-    gathering: float = 1.0
-    safety: float = 1.0
-    neighbors: float = 1.0
-    visible: float = 1.0
+    def __init__(self, positions: Float[Array, "robots 2 *batch"], world: WorldConfig) -> None:
+        self.xp, self.positions = as_configuration(positions)
+        self.world = world
 
-    def __post_init__(self) -> None:
-        for name in ("gathering", "safety", "neighbors", "visible"):
-            check_number(name, getattr(self, name), 0, GREATEST)
+    @cached_property
+    def distances(self) -> Float[Array, "robots robots *batch"]:
+        """Distances between centres, world units; 0 on the diagonal."""
+        return distances(self.positions)
+
+    @property
+    def neighbors(self) -> Bool[Array, "robots robots *batch"]:
+        """Which robots (second axis) are neighbours of each robot (first axis)."""
+        return self._neighbors_and_visible[0]
+
+    @property
+    def visible(self) -> Bool[Array, "robots robots *batch"]:
+        """Which robots (second axis) are visible from each robot (first axis)."""
+        return self._neighbors_and_visible[1]
+
+    @cached_property
+    def sole_occluder_counts(self) -> Float[Array, "robots *batch"]:
+        """For each robot, how many ordered pairs of others would see each other if that robot were not there."""
+        return hides(self.positions, self.world.radius, self.world.scan_radius)
+
+    @cached_property
+    def _neighbors_and_visible(self) -> tuple[Any, Any]:
+        return neighbors_and_visible(self.positions, self.world.radius, self.world.scan_radius)
 
 
-class Objective(eqx.Module):
-    """The objective C: a weighted sum of signals (paper, equations 4 and 5)."""
+class Signal(Strategy):
+    """A normalised measure of a configuration; 1 is its best.
 
-    gathering: str = eqx.field(static=True)
-    weights: dict[str, Any]
+    A subclass implements `__call__`. Its own fields need defaults and stand in the configuration beside the weight.
 
-    @classmethod
-    def create(cls, name: str, weights: WeightsConfig) -> Objective:
-        """Builds objective C1 or C2 with the given weights.
+    Attributes:
+        weight: Weight in the objective; `base.weights` and `auxiliary.weights` override it for one policy.
+    """
 
-        Raises:
-            InputError: There is no objective of that name.
+    section: ClassVar[str] = "signals"
+
+    weight: float = eqx.field(default=1.0, kw_only=True)
+
+    def __check_init__(self) -> None:
+        check_number("weight", self.weight, 0, GREATEST)
+
+    @abstractmethod
+    def __call__(self, configuration: Configuration) -> Float[Array, "robots *batch"]:
+        """Returns each robot's share of the signal; the signal is their mean."""
+
+    def value(self, configuration: Configuration) -> Float[Array, "*batch"]:
+        """Returns the signal: by default the mean of the robots' shares."""
+        return configuration.xp.mean(self(configuration), axis=0)
+
+    def credit(self, configuration: Configuration) -> Float[Array, "robots *batch"]:
+        """Returns each robot's potential: the change of it teaches that robot its own action.
+
+        By default this is the robot's share. A difference reward (Wolpert and Tumer, 2002) serves better: a potential
+        that changes, when this robot alone moves, in proportion to the signal. The signals of this package return N / 2
+        times the terms of the signal that depend on the robot.
         """
-        gathering = gathering_signal(name)
-        return cls(
-            gathering=gathering,
-            weights={
-                gathering: weights.gathering,
-                "safety": weights.safety,
-                "neighbors": weights.neighbors,
-                "visible": weights.visible,
-            },
-        )
-
-    def __call__(self, values: dict[str, Array]) -> Float[Array, "*batch"]:
-        """Returns the objective of the named signals."""
-        return sum(weight * values[name] for name, weight in self.weights.items())  # type: ignore[return-value]
+        return self(configuration)
 
 
-def gathering_signal(objective: str) -> str:
-    """Returns the name of an objective's gathering signal.
+@Signal.register("close")
+class Close(Signal):
+    """Closeness of the robots to the origin (paper, equation 6)."""
+
+    def __call__(self, configuration: Configuration) -> Float[Array, "robots *batch"]:
+        """Returns 1 - ||P_n|| / sqrt(X^2 + Y^2)."""
+        return 1 - self._from_origin(configuration) / _half_diagonal(configuration.world)
+
+    def value(self, configuration: Configuration) -> Float[Array, "*batch"]:
+        """Returns 1 - W_close sum ||P_n||: the sum is taken first."""
+        total = configuration.xp.sum(self._from_origin(configuration), axis=0)
+        return 1 - total / (configuration.positions.shape[0] * _half_diagonal(configuration.world))
+
+    def credit(self, configuration: Configuration) -> Float[Array, "robots *batch"]:
+        """Returns half of each robot's own term."""
+        return -self._from_origin(configuration) / (2 * _half_diagonal(configuration.world))
+
+    def _from_origin(self, configuration: Configuration) -> Float[Array, "robots *batch"]:
+        xp, positions = configuration.xp, configuration.positions
+        return xp.sqrt(xp.sum(positions**2, axis=1))
+
+
+@Signal.register("nclose")
+class NeighborClose(Signal):
+    """Closeness of the robots to each other (paper, equation 10)."""
+
+    def __call__(self, configuration: Configuration) -> Float[Array, "robots *batch"]:
+        """Returns 1 - the mean distance to the others / (2 sqrt(X^2 + Y^2))."""
+        return 1 + self.credit(configuration)
+
+    def value(self, configuration: Configuration) -> Float[Array, "*batch"]:
+        """Returns 1 - W_nclose sum ||P_i - P_j||: the sum is taken first."""
+        robots = configuration.positions.shape[0]
+        total = configuration.xp.sum(configuration.distances, axis=(0, 1))
+        return 1 - total / (robots * (robots - 1) * 2 * _half_diagonal(configuration.world))
+
+    def credit(self, configuration: Configuration) -> Float[Array, "robots *batch"]:
+        """Returns the terms of every pair that the robot is part of."""
+        others = configuration.positions.shape[0] - 1
+        total = configuration.xp.sum(configuration.distances, axis=1)
+        return -total / (others * 2 * _half_diagonal(configuration.world))
+
+
+@Signal.register("safety")
+class Safety(Signal):
+    """How well the robots keep the safe distance (paper, equation 7), in the reading that `world.safety` names."""
+
+    def __call__(self, configuration: Configuration) -> Float[Array, "robots *batch"]:
+        """Returns 1 - sum sqrt(max(0, delta_s - d)) / sqrt(delta_s) over a robot's pairs; or the printed formula."""
+        xp, world, between = configuration.xp, configuration.world, configuration.distances
+        if world.safety == "penalty":
+            charged = xp.sum(xp.sqrt(xp.maximum(world.safe_distance - between, 0)), axis=1)
+            # The diagonal, at distance 0, was charged sqrt(safe_distance): given back here rather than masked above.
+            return 2 - charged / world.safe_distance**0.5
+        excess = between - world.safe_distance
+        radicand = xp.where(excess >= 0, xp.maximum(world.safe_distance + world.radius - excess, 0), 0)
+        scale = (world.safe_distance + world.radius) ** 0.5
+        return xp.sum(xp.sqrt(radicand), axis=1) / ((between.shape[0] - 1) * scale)
+
+
+@Signal.register("neighbors")
+class Neighbors(Signal):
+    """Share of the others that are neighbours (paper, equation 8)."""
+
+    def __call__(self, configuration: Configuration) -> Float[Array, "robots *batch"]:
+        """Returns G_all / (N - 1)."""
+        return _row_share(configuration, configuration.neighbors)
+
+    def value(self, configuration: Configuration) -> Float[Array, "*batch"]:
+        """Returns W_neighbors sum G_all: pairs are counted first, which is exact."""
+        return _pair_share(configuration, configuration.neighbors)
+
+
+@Signal.register("visible")
+class Visible(Signal):
+    """Share of the others that are visible neighbours (paper, equation 9)."""
+
+    def __call__(self, configuration: Configuration) -> Float[Array, "robots *batch"]:
+        """Returns G_vis / (N - 1)."""
+        return _row_share(configuration, configuration.visible)
+
+    def value(self, configuration: Configuration) -> Float[Array, "*batch"]:
+        """Returns W_visible sum G_vis: pairs are counted first, which is exact."""
+        return _pair_share(configuration, configuration.visible)
+
+    def credit(self, configuration: Configuration) -> Float[Array, "robots *batch"]:
+        """Returns the pairs that the robot is part of, less those that it alone hides from each other."""
+        xp, dtype = configuration.xp, configuration.positions.dtype
+        seen = configuration.visible
+        own = (xp.sum(seen, axis=1, dtype=dtype) + xp.sum(seen, axis=0, dtype=dtype)) / 2
+        return (own - configuration.sole_occluder_counts / 2) / (seen.shape[0] - 1)
+
+
+OBJECTIVES: dict[str, tuple[str, ...]] = {
+    "C1": ("close", "safety", "neighbors", "visible"),
+    "C2": ("nclose", "safety", "neighbors", "visible"),
+    "custom": (),
+}
+"""The signals of each named objective: gathering at the origin (the paper's C1), anywhere (C2), or only one's own."""
+
+
+def objective_signals(objective: str, own: Mapping[str, Signal] | None = None) -> dict[str, Signal]:
+    """Returns the signals of an objective by name, in the order in which they are recorded.
+
+    Args:
+        objective: C1, C2 or custom.
+        own: Further signals; one with the name of a signal of the objective replaces it.
 
     Raises:
-        InputError: There is no objective of that name.
+        InputError: There is no objective of that name, or it has no signal at all.
     """
     if objective not in OBJECTIVES:
         raise InputError("objective", objective, f"one of {', '.join(OBJECTIVES)}")
-    return OBJECTIVES[objective]
+    known = Signal.registered()
+    signals: dict[str, Any] = {name: known[name]() for name in OBJECTIVES[objective]}
+    signals.update(own or {})
+    if not signals:
+        raise InputError("signals", {}, "one signal or more with the objective custom")
+    return signals
 
 
-def signal_names(objective: str) -> tuple[str, str, str, str]:
-    """Returns the names of an objective's signals, in the order in which they are recorded."""
-    return (gathering_signal(objective), "safety", "neighbors", "visible")
+class Objective(eqx.Module):
+    """The objective C: a weighted sum of signals (paper, equations 4 and 5).
 
-
-def signals(
-    positions: Float[Array, "robots 2 *batch"],
-    *,
-    gathering: str,
-    half_width: float,
-    half_height: float,
-    radius: float,
-    scan_radius: float,
-    safe_distance: float,
-    safety: str = "penalty",
-) -> dict[str, Float[Array, "*batch"]]:
-    """Measures a configuration by the signals of one objective (paper, equations 6 to 10).
-
-    Args:
-        positions: Centres of the robots, world units.
-        gathering: `close` (nearness to the origin) or `nclose` (nearness to each other).
-        half_width: The world's X.
-        half_height: The world's Y.
-        radius: The paper's R_bot.
-        scan_radius: The paper's R_scan.
-        safe_distance: The paper's delta_s, between centres.
-        safety: Reading of F_safe: `penalty` charges what lies inside the safe distance, `shell` is the printed formula
-            with its radicand floored at zero.
-
-    Returns:
-        The signals by name.
+    Attributes:
+        signals: The signals by name.
+        weights: The weight of each.
+        names: The names in the order in which signals are recorded.
     """
-    xp, positions = as_configuration(positions)
-    robots = positions.shape[0]
-    pairs = robots * (robots - 1)
-    reach = (half_width**2 + half_height**2) ** 0.5
-    between = distances(positions)
-    near, seen = neighbors_and_visible(positions, radius, scan_radius)
-    if gathering == "close":
-        gathered = 1 - xp.sum(xp.sqrt(xp.sum(positions**2, axis=1)), axis=0) / (robots * reach)
-    else:
-        gathered = 1 - xp.sum(between, axis=(0, 1)) / (pairs * 2 * reach)
-    return {
-        gathering: gathered,
-        "safety": _safety(xp, between, radius, safe_distance, safety),
-        "neighbors": _fraction(xp, near, positions, pairs),
-        "visible": _fraction(xp, seen, positions, pairs),
-    }
+
+    signals: dict[str, Signal]
+    weights: dict[str, Any]
+    names: tuple[str, ...] = eqx.field(static=True)
+
+    def __init__(self, signals: Mapping[str, Signal], weights: Mapping[str, float] | None = None) -> None:
+        """Builds the objective.
+
+        Args:
+            signals: The signals by name.
+            weights: Weights that replace the signals' own.
+
+        Raises:
+            InputError: A weight is not a finite number >= 0, or is for a signal that the objective lacks.
+        """
+        for name, weight in (weights or {}).items():
+            if name not in signals:
+                raise InputError(f"weights.{name}", weight, f"of a signal of the objective ({', '.join(signals)})")
+            check_number(f"weights.{name}", weight, 0, GREATEST)
+        self.signals = dict(signals)
+        self.weights = {name: (weights or {}).get(name, signal.weight) for name, signal in signals.items()}
+        self.names = tuple(signals)
+
+    def measure(self, configuration: Configuration) -> dict[str, Float[Array, "*batch"]]:
+        """Returns the signals of a configuration by name."""
+        return {name: self.signals[name].value(configuration) for name in self.names}
+
+    def credit(self, configuration: Configuration) -> Float[Array, "robots *batch"]:
+        """Returns each robot's potential: the weighted sum of the signals' credits."""
+        return self({name: signal.credit(configuration) for name, signal in self.signals.items()})
+
+    def __call__(self, values: Mapping[str, Any]) -> Any:
+        """Returns the weighted sum of values by the signals' names."""
+        return sum(weight * values[name] for name, weight in self.weights.items())
 
 
-def shares(
-    positions: Float[Array, "robots 2 *batch"],
-    *,
-    gathering: str,
-    half_width: float,
-    half_height: float,
-    radius: float,
-    scan_radius: float,
-    safe_distance: float,
-    safety: str = "penalty",
-) -> dict[str, Float[Array, "robots *batch"]]:
-    """Measures what each robot contributes to every signal: all of the signal's terms that depend on where it is.
-
-    These are difference rewards (Wolpert and Tumer, 2002), up to a constant and the factor N / 2: when one robot moves,
-    its share of a signal changes by N / 2 times what the signal itself changes by. (A term of the sum belongs to both
-    robots of its pair, so the mean share is the signal; hence the factor.) A pair's visibility belongs to the pair and
-    to whoever alone hides it.
-
-    Args:
-        positions: Centres of the robots, world units.
-        gathering: As of `signals`, like every other argument.
-        half_width: The world's X.
-        half_height: The world's Y.
-        radius: The paper's R_bot.
-        scan_radius: The paper's R_scan.
-        safe_distance: The paper's delta_s.
-        safety: Reading of F_safe.
-
-    Returns:
-        The shares by name.
-    """
-    xp, positions = as_configuration(positions)
-    robots = positions.shape[0]
-    reach = (half_width**2 + half_height**2) ** 0.5
-    between = distances(positions)
-    near, seen = neighbors_and_visible(positions, radius, scan_radius)
-    if gathering == "close":
-        gathered = -xp.sqrt(xp.sum(positions**2, axis=1)) / (2 * reach)
-    else:
-        gathered = -xp.sum(between, axis=1) / ((robots - 1) * 2 * reach)
-    dtype = positions.dtype
-    own = (xp.sum(seen, axis=1, dtype=dtype) + xp.sum(seen, axis=0, dtype=dtype)) / 2
-    return {
-        gathering: gathered,
-        "safety": _safety_terms(xp, between, radius, safe_distance, safety),
-        "neighbors": xp.sum(near, axis=1, dtype=dtype) / (robots - 1),
-        "visible": (own - hides(positions, radius, scan_radius) / 2) / (robots - 1),
-    }
+def _half_diagonal(world: WorldConfig) -> Any:
+    return (world.half_width**2 + world.half_height**2) ** 0.5
 
 
-def _fraction(xp: Any, flags: Bool[Array, "robots robots *batch"], like: Any, pairs: int) -> Any:
-    return xp.sum(flags, axis=(0, 1), dtype=like.dtype) / pairs
+def _row_share(configuration: Configuration, flags: Bool[Array, "robots robots *batch"]) -> Any:
+    total = configuration.xp.sum(flags, axis=1, dtype=configuration.positions.dtype)
+    return total / (flags.shape[0] - 1)
 
 
-def _safety(xp: Any, between: Any, radius: float, safe_distance: float, reading: str) -> Any:
-    return xp.mean(_safety_terms(xp, between, radius, safe_distance, reading), axis=0)
-
-
-def _safety_terms(xp: Any, between: Any, radius: float, safe_distance: float, reading: str) -> Any:
-    """What each robot's pairs add to the safety signal, so that the signal is their mean."""
-    robots = between.shape[0]
-    if reading == "penalty":
-        charged = xp.sum(xp.sqrt(xp.maximum(safe_distance - between, 0)), axis=1)
-        # The diagonal, at distance 0, was charged sqrt(safe_distance): give it back rather than mask it.
-        return 2 - charged / safe_distance**0.5
-    excess = between - safe_distance
-    inside = xp.where(excess >= 0, xp.maximum(safe_distance + radius - excess, 0), 0)
-    return xp.sum(xp.sqrt(inside), axis=1) / ((robots - 1) * (safe_distance + radius) ** 0.5)
+def _pair_share(configuration: Configuration, flags: Bool[Array, "robots robots *batch"]) -> Any:
+    robots = flags.shape[0]
+    return configuration.xp.sum(flags, axis=(0, 1), dtype=configuration.positions.dtype) / (robots * (robots - 1))

@@ -1,8 +1,8 @@
-"""Where episodes begin: the paper's layouts, anywhere at random, or given configurations, each plus uniform noise.
+"""Distributions of initial configurations: the paper's layouts, random and symmetric ones, files, and mixtures of them.
 
-A start is never in collision and never outside the world. Staying inside is exact: each coordinate's uniform noise is
+A start is never in contact and never outside the world. Staying inside is exact: each coordinate's uniform noise is
 drawn from the part of its range that lies inside, which is what redrawing until it does would give. Overlaps are
-redrawn: a robot that touches one placed before it is drawn again, until none does.
+redrawn: a robot that touches a robot of lower number is drawn again, until none does.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ import math
 import operator
 from abc import abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, ClassVar, Literal, get_args
 
 import equinox as eqx
 import jax
@@ -22,237 +22,490 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from murmurate.errors import InputError
+from murmurate.errors import MOST, InputError, check_choice, check_number
 from murmurate.geometry import clearances
 from murmurate.geometry.visibility import fold
+from murmurate.registry import Strategy
 from murmurate.world.config import WorldConfig
+from murmurate.world.randomness import new_key
 
 __all__ = [
+    "DistributedStart",
+    "Family",
+    "FileStart",
     "JitteredStart",
+    "LayoutStart",
     "MixtureStart",
+    "PackedStart",
+    "ScatteredStart",
     "Start",
-    "StartConfig",
+    "SymmetricStart",
     "UniformStart",
     "check_configurations",
+    "check_start",
     "draw_starts",
-    "layout",
-    "make_start",
     "read_starts",
+    "redraw_overlaps",
+    "symmetric_layout",
 ]
 
-ROUNDS = 500
-"""Redraws after which a request is called impossible when a start is built."""
+MAX_REDRAWS = 10_000
+"""Redraws after which overlaps stay: a start that needs more is refused when it is checked."""
 
-PATIENCE = 50
+MAX_PARTIAL_REDRAWS = 50
 """Redraws after which a configuration that still overlaps is drawn anew as a whole."""
 
+TRIALS = 16
+"""Configurations drawn to check a start."""
 
-StartKind = Literal["scattered", "distributed", "packed", "random", "file"]
 
+class Start(Strategy):
+    """A distribution of initial configurations.
 
-@dataclass(frozen=True)
-class StartConfig:
-    """Where episodes begin.
-
-    Attributes:
-        kind: scattered, distributed and packed are the paper's; random is anywhere without overlap; file reads `file`.
-        noise: Half-width of the uniform noise on each coordinate, in robot radii; the paper's experiments use 2.
-        spacing: Distance between neighbours of the distributed and packed layouts, in robot radii.
-        lines: Number of lines of the packed layout.
-        file: CSV file of starts (start,x,y), for kind `file`.
+    A subclass implements `sample`; `redraw_overlaps` keeps its robots apart.
     """
 
-    kind: StartKind = "scattered"
-    noise: float = 2.0
-    spacing: float = 6.0
-    lines: int = 1
-    file: str = ""
-
-    def __post_init__(self) -> None:
-        if self.kind not in get_args(StartKind):
-            raise InputError("kind", self.kind, f"one of {', '.join(get_args(StartKind))}")
-        if not (math.isfinite(self.noise) and self.noise >= 0):
-            raise InputError("noise", self.noise, "a finite number >= 0")
-        if not (math.isfinite(self.spacing) and self.spacing > 2):
-            raise InputError("spacing", self.spacing, "a finite number > 2 (robots closer than two radii overlap)")
-        if self.lines < 1:
-            raise InputError("lines", self.lines, "an integer >= 1")
-        if (self.kind == "file") != bool(self.file):
-            raise InputError("file", self.file, "given with kind = 'file', and only then")
-
-
-class Start(eqx.Module):
-    """A distribution of initial configurations."""
+    section: ClassVar[str] = "start"
 
     @abstractmethod
-    def sample(self, key: PRNGKeyArray, batch: int, rounds: int | None = None) -> Float[Array, "robots 2 batch"]:
-        """Draws a batch of configurations, none in collision, all inside the world.
+    def sample(self, key: PRNGKeyArray, batch: int, world: WorldConfig) -> Float[Array, "batch robots 2"]:
+        """Draws configurations, none in contact, all inside the world.
 
         Args:
             key: Randomness.
             batch: How many to draw.
-            rounds: Give up redrawing overlaps after so many rounds; by default, never.
+            world: Sizes of the world and its robots; under a jit its numbers are traced.
+
+        Returns:
+            Centres, world units.
         """
+
+    def prepare(self, world: WorldConfig) -> Start:
+        """Returns the start with everything done that needs no randomness, such as reading files.
+
+        Called once, outside of any jit, with the numbers of the world known.
+
+        Raises:
+            InputError: The start is not possible in this world.
+        """
+        return self
+
+    def fits_any_size(self) -> bool:
+        """Returns whether the same start serves swarms of any size."""
+        return True
 
 
 class JitteredStart(Start):
-    """One of some given configurations, each coordinate plus uniform noise (paper, equation 11)."""
+    """One of some given configurations, with equal chances, each coordinate plus uniform noise (paper, equation 11).
 
-    points: Float[Array, "layouts robots 2"]
-    noise: Any
-    half_width: Any
-    half_height: Any
-    radius: Any
-
-    def sample(self, key: PRNGKeyArray, batch: int, rounds: int | None = None) -> Float[Array, "robots 2 batch"]:
-        """Draws layouts with equal chances and adds noise U(-noise, noise) to every coordinate."""
-        choose, draw = jax.random.split(key)
-        chosen = self.points[jax.random.randint(choose, (batch,), 0, self.points.shape[0])]
-        center = jnp.moveaxis(chosen, 0, -1)
-        bounds = jnp.stack([jnp.asarray(self.half_width), jnp.asarray(self.half_height)])[:, None]
-        low = jnp.maximum(center - self.noise, -bounds)
-        high = jnp.minimum(center + self.noise, bounds)
-
-        def propose(key: PRNGKeyArray) -> Float[Array, "robots 2 batch"]:
-            return low + (high - low) * jax.random.uniform(key, center.shape)
-
-        return _without_overlap(draw, propose, self.radius, rounds)
-
-
-class UniformStart(Start):
-    """UniformStart in the world; with `spread` below 1, in two randomly placed windows, each a random share of it.
-
-    Windows are placed anywhere and pushed inside, so small ones often lie along a wall or in a corner; how the robots
-    divide between the two is random as well, all in one included.
+    Attributes:
+        points: The configurations, world units.
+        noise: Half-width of the noise, in robot radii.
     """
 
-    robots: int = eqx.field(static=True)
-    half_width: Any
-    half_height: Any
-    radius: Any
-    spread: Any = 1.0
+    points: Float[Array, "layouts robots 2"]
+    noise: float = 0.0
 
-    def sample(self, key: PRNGKeyArray, batch: int, rounds: int | None = None) -> Float[Array, "robots 2 batch"]:
-        """Draws every robot uniformly in its window, whose sides are a share from `spread` to 1 of the world's.
+    def sample(self, key: PRNGKeyArray, batch: int, world: WorldConfig) -> Float[Array, "batch robots 2"]:
+        """Draws configurations and adds noise U(-noise R, noise R) to every coordinate."""
+        choose, draw = jax.random.split(key)
+        chosen = self.points[jax.random.randint(choose, (batch,), 0, self.points.shape[0], jnp.int32)]
+        center = jnp.moveaxis(chosen, 0, -1)
+        bounds, noise = _bounds(world), self.noise * world.radius
+        low = jnp.maximum(center - noise, -bounds)
+        high = jnp.minimum(center + noise, bounds)
 
-        Shares are uniform in their logarithm: tight crowds are as common as loose ones.
+        def propose(key: PRNGKeyArray) -> Float[Array, "robots 2 batch"]:
+            return low + (high - low) * jax.random.uniform(key, center.shape, jnp.float32)
 
-        No window is so small that the discs around N - 1 centres, which the last one must avoid, could fill it.
+        return jnp.moveaxis(_redraw_overlaps_batch_last(draw, propose, world.radius), -1, 0)
+
+
+class LayoutStart(Start):
+    """A start of this package that places robots exactly and adds noise: a base class of some."""
+
+    noise: float = 2.0
+
+    def __check_init__(self) -> None:
+        check_number("noise", self.noise, 0, MOST)
+
+    @abstractmethod
+    def layouts(self, world: WorldConfig) -> Float[np.ndarray, "layouts robots 2"]:
+        """Returns the configurations without noise, world units.
+
+        Raises:
+            InputError: So many robots do not fit.
         """
+
+    def prepare(self, world: WorldConfig) -> JitteredStart:
+        """Returns the start with its robots placed."""
+        return JitteredStart(jnp.asarray(self.layouts(world), jnp.float32), self.noise)
+
+    def sample(self, key: PRNGKeyArray, batch: int, world: WorldConfig) -> Float[Array, "batch robots 2"]:
+        """Draws layouts and adds noise; `prepare` must be possible, so not under a jit that traces the world."""
+        return self.prepare(world).sample(key, batch, world)
+
+    def _fitting(self, points: np.ndarray, world: WorldConfig) -> Float[np.ndarray, "1 robots 2"]:
+        outside = (np.abs(points) > np.array([world.half_width, world.half_height])).any()
+        if outside or (clearances(points, world.radius) <= 0).any():
+            raise InputError("world.robots", world.robots, f"few enough to fit the {self.name} start")
+        return points[None]
+
+
+@Start.register("scattered")
+class ScatteredStart(LayoutStart):
+    """The paper's Scattered: evenly on a circle of radius min(X, Y), plus noise.
+
+    Attributes:
+        noise: Half-width of the uniform noise on each coordinate, in robot radii; the paper's experiments use 2.
+    """
+
+    def layouts(self, world: WorldConfig) -> Float[np.ndarray, "1 robots 2"]:
+        """Returns the regular polygon."""
+        angle = 2 * np.pi * np.arange(world.robots) / world.robots
+        circle = min(world.half_width, world.half_height)
+        return self._fitting(circle * np.stack([np.cos(angle), np.sin(angle)], axis=1), world)
+
+
+@Start.register("distributed")
+class DistributedStart(LayoutStart):
+    """The paper's Distributed: half of the robots, on a grid, near each of two opposite corners, plus noise.
+
+    Attributes:
+        noise: Half-width of the uniform noise on each coordinate, in robot radii; the paper's experiments use 2.
+        spacing: Distance between neighbours of the grid, in robot radii.
+    """
+
+    spacing: float = 6.0
+
+    def __check_init__(self) -> None:
+        check_number("spacing", self.spacing, 2, MOST, exclusive_low=True)
+
+    def layouts(self, world: WorldConfig) -> Float[np.ndarray, "1 robots 2"]:
+        """Returns the two grids."""
+        first, spacing = (world.robots + 1) // 2, self.spacing * world.radius
+        points = _block(first, math.ceil(math.sqrt(first)), spacing) + spacing / 2
+        corner = np.array([world.half_width, world.half_height])
+        return self._fitting(np.concatenate([points - corner, corner - points[: world.robots - first]]), world)
+
+
+@Start.register("packed")
+class PackedStart(LayoutStart):
+    """The paper's Packed: one line, or several, half-way between the gathering point and the lower edge, plus noise.
+
+    Attributes:
+        noise: Half-width of the uniform noise on each coordinate, in robot radii; the paper's experiments use 2.
+        spacing: Distance between neighbours of a line, and between lines, in robot radii.
+        lines: Number of lines.
+    """
+
+    spacing: float = 6.0
+    lines: int = eqx.field(default=1, static=True)
+
+    def __check_init__(self) -> None:
+        check_number("spacing", self.spacing, 2, MOST, exclusive_low=True)
+        check_number("lines", self.lines, 1, MOST, integer=True)
+
+    def layouts(self, world: WorldConfig) -> Float[np.ndarray, "1 robots 2"]:
+        """Returns the lines."""
+        points = _block(world.robots, math.ceil(world.robots / self.lines), self.spacing * world.radius)
+        points = points - (points.max(axis=0) + points.min(axis=0)) / 2
+        return self._fitting(points - np.array([0.0, world.half_height / 2]), world)
+
+
+@Start.register("file")
+class FileStart(LayoutStart):
+    """The configurations of a file, with equal chances, plus noise.
+
+    Attributes:
+        noise: Half-width of the uniform noise on each coordinate, in robot radii.
+        file: CSV file of starts with the header start,x,y.
+    """
+
+    file: str = eqx.field(default="", static=True)
+
+    def __check_init__(self) -> None:
+        if not self.file:
+            raise InputError("file", self.file, "the name of a CSV file of starts")
+
+    def layouts(self, world: WorldConfig) -> Float[np.ndarray, "layouts robots 2"]:
+        """Reads the file and checks its configurations."""
+        points = read_starts(self.file, world.robots)
+        check_configurations(points, world, self.file)
+        return points
+
+    def fits_any_size(self) -> bool:
+        """Returns False: a file holds starts of one size."""
+        return False
+
+
+@Start.register("random")
+class UniformStart(Start):
+    """Anywhere in the world without overlap; with `min_window` below 1, in two randomly placed windows.
+
+    Windows are placed anywhere and pushed inside, so small ones often lie along a wall or in a corner; how the robots
+    divide between the two is random as well, all in one window included.
+
+    Attributes:
+        min_window: Each window takes at least this share of the world's sides; 1: the whole world.
+    """
+
+    min_window: float = 1.0
+
+    def __check_init__(self) -> None:
+        check_number("min_window", self.min_window, 0, 1, exclusive_low=True)
+
+    def sample(self, key: PRNGKeyArray, batch: int, world: WorldConfig) -> Float[Array, "batch robots 2"]:
+        """Draws every robot uniformly in its window, whose sides are a share from `min_window` to 1 of the world's.
+
+        Shares are uniform in their logarithm: tight crowds are as common as loose ones. No window is so small that the
+        discs around N - 1 centres, which the last one must avoid, could fill it.
+        """
+        robots, bounds = world.robots, _bounds(world)
         size_key, place_key, divide, draw = jax.random.split(key, 4)
-        bounds = jnp.stack([jnp.asarray(self.half_width), jnp.asarray(self.half_height)])[:, None]
-        room = self.radius * jnp.sqrt(jnp.pi * (self.robots - 1) / (self.half_width * self.half_height))
-        least = jnp.minimum(jnp.maximum(self.spread, room), 1.0)
-        share = least ** jax.random.uniform(size_key, (2, 2, batch))
-        place = jax.random.uniform(place_key, (2, 2, batch), minval=-1.0, maxval=1.0)
+        room = world.radius * jnp.sqrt(jnp.pi * (robots - 1) / (world.half_width * world.half_height))
+        least = jnp.minimum(jnp.maximum(self.min_window, room), 1.0)
+        share = least ** jax.random.uniform(size_key, (2, 2, batch), jnp.float32)
+        place = jax.random.uniform(place_key, (2, 2, batch), jnp.float32, -1.0, 1.0)
         center = bounds * jnp.clip(place, share - 1, 1 - share)
-        first = jax.random.uniform(divide, (batch,))
+        first = jax.random.uniform(divide, (batch,), jnp.float32)
 
         def propose(key: PRNGKeyArray) -> Float[Array, "robots 2 batch"]:
             window, inside = jax.random.split(key)
-            unit = jax.random.uniform(inside, (self.robots, 2, batch), minval=-1.0, maxval=1.0)
-            mine = (jax.random.uniform(window, (self.robots, batch)) < first)[:, None]
-            return jnp.where(mine, center[0] + bounds * share[0] * unit, center[1] + bounds * share[1] * unit)
+            unit = jax.random.uniform(inside, (robots, 2, batch), jnp.float32, -1.0, 1.0)
+            in_first = (jax.random.uniform(window, (robots, batch), jnp.float32) < first)[:, None]
+            return jnp.where(in_first, center[0] + bounds * share[0] * unit, center[1] + bounds * share[1] * unit)
 
-        return _without_overlap(draw, propose, self.radius, rounds)
+        return jnp.moveaxis(_redraw_overlaps_batch_last(draw, propose, world.radius), -1, 0)
 
 
+Family = Literal["polygon", "line", "grid", "rings"]
+
+MIN_SPACING, MAX_EXTENT = 1.5, 0.8
+"""Symmetric neighbours begin at least so many diameters apart, and no robot farther out than this share of the way to
+the wall."""
+
+
+@Start.register("symmetric")
+class SymmetricStart(Start):
+    """Exactly symmetric configurations around the origin, each of a random width and direction.
+
+    They are the hardest for robots that are all alike: a deterministic policy that depends only on what is seen keeps
+    every symmetry that all robots share. Rounding, noise, a scheduler that moves some robots and not others, or frames
+    without a common handedness break it.
+
+    Attributes:
+        family: polygon (a regular one), line (evenly spaced), grid (as square as it can be, full rows but for the last,
+            which is centred), rings (two regular polygons, one inside the other, and one robot in the middle where the
+            number is odd), or any of them with equal chances.
+    """
+
+    family: Literal["any", "polygon", "line", "grid", "rings"] = eqx.field(default="any", static=True)
+
+    def __check_init__(self) -> None:
+        check_choice("family", self.family, ("any", *get_args(Family)))
+
+    def sample(self, key: PRNGKeyArray, batch: int, world: WorldConfig) -> Float[Array, "batch robots 2"]:
+        """Draws widths between the least without contact and the greatest that stays off the walls, and directions."""
+        family_key, size_key, angle_key = jax.random.split(key, 3)
+        layouts = np.stack([symmetric_layout(family, world.robots) for family in self._families(world.robots)])
+        low, high = self._sizes(layouts, world)
+        family = jax.random.randint(family_key, (batch,), 0, len(layouts), jnp.int32)
+        high = jnp.asarray(high, jnp.float32)[family]
+        size = low + (high - low) * jax.random.uniform(size_key, (batch,), jnp.float32)
+        angle = jax.random.uniform(angle_key, (batch,), jnp.float32, maxval=2 * jnp.pi)
+        cos, sin = jnp.cos(angle)[:, None], jnp.sin(angle)[:, None]
+        points = size[:, None, None] * jnp.asarray(layouts, jnp.float32)[family]
+        x, y = points[..., 0], points[..., 1]
+        return jnp.stack([cos * x - sin * y, sin * x + cos * y], axis=-1)
+
+    def prepare(self, world: WorldConfig) -> Start:
+        """Checks that there is room for every family."""
+        for family in self._families(world.robots):
+            low, high = self._sizes(symmetric_layout(family, world.robots)[None], world)
+            if low > high[0]:
+                raise InputError("robots", world.robots, f"few enough to fit the start {family}")
+        return self
+
+    def _families(self, robots: int) -> tuple[Family, ...]:
+        if self.family != "any":
+            return (self.family,)
+        return tuple(family for family in get_args(Family) if family != "rings" or robots >= 4)
+
+    def _sizes(self, layouts: np.ndarray, world: WorldConfig) -> tuple[Any, Any]:
+        """Returns the least distance of nearest neighbours, and the greatest for each layout."""
+        extent = np.linalg.norm(layouts, axis=2).max(axis=1)
+        minimum = jnp.minimum if isinstance(world.half_width, jax.Array) else min
+        half_side = minimum(world.half_width, world.half_height)
+        return MIN_SPACING * 2 * world.radius, MAX_EXTENT * half_side / extent
+
+
+@Start.register("mixture")
 class MixtureStart(Start):
-    """The second start with probability `share`, else the first."""
+    """The second start with probability `share`, else the first; each may be a mixture again.
 
-    first: Start
-    second: Start
-    share: Any
+    Attributes:
+        first: A start.
+        second: Another start.
+        share: Probability of the second.
+    """
 
-    def sample(self, key: PRNGKeyArray, batch: int, rounds: int | None = None) -> Float[Array, "robots 2 batch"]:
+    first: Start = eqx.field(default_factory=ScatteredStart)
+    second: Start = eqx.field(default_factory=UniformStart)
+    share: float = 0.5
+
+    def __check_init__(self) -> None:
+        check_number("share", self.share, 0, 1)
+
+    def sample(self, key: PRNGKeyArray, batch: int, world: WorldConfig) -> Float[Array, "batch robots 2"]:
         """Draws from both and keeps one for each member of the batch."""
         coin, first, second = jax.random.split(key, 3)
-        other = jax.random.uniform(coin, (batch,)) < self.share
-        return jnp.where(other, self.second.sample(second, batch, rounds), self.first.sample(first, batch, rounds))
+        from_second = (jax.random.uniform(coin, (batch,), jnp.float32) < self.share)[:, None, None]
+        return jnp.where(from_second, self.second.sample(second, batch, world), self.first.sample(first, batch, world))
+
+    def prepare(self, world: WorldConfig) -> Start:
+        """Prepares both starts."""
+        return replace(self, first=self.first.prepare(world), second=self.second.prepare(world))
+
+    def fits_any_size(self) -> bool:
+        """Returns whether both starts serve swarms of any size."""
+        return self.first.fits_any_size() and self.second.fits_any_size()
 
 
-def draw_starts(start: Start, key: PRNGKeyArray, count: int) -> Float[np.ndarray, "starts robots 2"]:
-    """Draws configurations, world units, as files and rollouts have them: one after another."""
-    return np.moveaxis(np.asarray(_draw(start, key, count)), -1, 0)
+def redraw_overlaps(
+    key: PRNGKeyArray, propose: Callable[[PRNGKeyArray], Float[Array, "batch robots 2"]], radius: Any
+) -> Float[Array, "batch robots 2"]:
+    """Draws configurations and draws again the robots that touch a robot of lower number, until none does.
+
+    Args:
+        key: Randomness.
+        propose: Draws a batch of configurations.
+        radius: The robots' radius, world units.
+    """
+
+    def propose_batch_last(key: PRNGKeyArray) -> Float[Array, "robots 2 batch"]:
+        return jnp.moveaxis(propose(key), 0, -1)
+
+    return jnp.moveaxis(_redraw_overlaps_batch_last(key, propose_batch_last, radius), -1, 0)
 
 
-# Outside of a jit, the loop that redraws overlaps would be compiled anew at every call.
-@eqx.filter_jit
-def _draw(start: Start, key: PRNGKeyArray, count: int) -> Float[Array, "robots 2 starts"]:
-    return start.sample(key, count)
+def _redraw_overlaps_batch_last(
+    key: PRNGKeyArray, propose: Callable[[PRNGKeyArray], Any], radius: Any
+) -> Float[Array, "robots 2 batch"]:
+    def pending(carry: tuple[Any, Any, Any, Any]) -> Any:
+        _, _, overlapping, turn = carry
+        return jnp.any(overlapping) & (turn < MAX_REDRAWS)
+
+    def redraw(carry: tuple[Any, Any, Any, Any]) -> tuple[Any, Any, Any, Any]:
+        key, positions, overlapping, turn = carry
+        key, draw = jax.random.split(key)
+        # The robots that were placed can leave no room for one more, however often that one is drawn again.
+        stuck = jnp.any(overlapping, axis=0) & (turn % MAX_PARTIAL_REDRAWS == MAX_PARTIAL_REDRAWS - 1)
+        positions = jnp.where((overlapping | stuck)[:, None], propose(draw), positions)
+        return key, positions, _touch_earlier(positions, radius), turn + 1
+
+    key, draw = jax.random.split(key)
+    positions = propose(draw)
+    carry = (key, positions, _touch_earlier(positions, radius), 0)
+    return jax.lax.while_loop(pending, redraw, carry)[1]
 
 
-def _touches_earlier(positions: Float[Array, "robots 2 batch"], radius: Any) -> Any:
-    """Says which robots touch one of lower number."""
+def _touch_earlier(positions: Float[Array, "robots 2 batch"], radius: Any) -> Any:
+    """Returns which robots touch one of lower number."""
     robots = positions.shape[0]
     earlier = jnp.tril(jnp.ones((robots, robots), bool), -1)[:, :, None]
     return fold(operator.or_, (clearances(positions, radius) <= 0) & earlier, axis=1)
 
 
-def _without_overlap(
-    key: PRNGKeyArray, propose: Callable[[PRNGKeyArray], Any], radius: Any, rounds: int | None
-) -> Float[Array, "robots 2 batch"]:
-    def pending(carry: tuple[Any, Any, Any, Any]) -> Any:
-        _, _, bad, turn = carry
-        return jnp.any(bad) if rounds is None else jnp.any(bad) & (turn < rounds)
-
-    def redraw(carry: tuple[Any, Any, Any, Any]) -> tuple[Any, Any, Any, Any]:
-        key, positions, bad, turn = carry
-        key, draw = jax.random.split(key)
-        # The robots that were placed can leave no room for one more, however often that one is drawn again.
-        stuck = jnp.any(bad, axis=0) & (turn % PATIENCE == PATIENCE - 1)
-        positions = jnp.where((bad | stuck)[:, None], propose(draw), positions)
-        return key, positions, _touches_earlier(positions, radius), turn + 1
-
-    key, draw = jax.random.split(key)
-    positions = propose(draw)
-    carry = (key, positions, _touches_earlier(positions, radius), 0)
-    return jax.lax.while_loop(pending, redraw, carry)[1]
+def draw_starts(
+    start: Start, key: PRNGKeyArray, count: int, world: WorldConfig
+) -> Float[np.ndarray, "starts robots 2"]:
+    """Draws configurations, world units, from a prepared start."""
+    return np.asarray(_draw(start, key, count, world))
 
 
-def layout(config: StartConfig, world: WorldConfig) -> Float[np.ndarray, "robots 2"]:
-    """Places the robots as one of the paper's initial configurations, without noise.
+# Outside of a jit, the loop that redraws overlaps would be compiled anew at every call.
+@eqx.filter_jit
+def _draw(start: Start, key: PRNGKeyArray, count: int, world: WorldConfig) -> Float[Array, "starts robots 2"]:
+    return start.sample(key, count, world)
 
-    Args:
-        config: Which one, and its numbers.
-        world: Sizes of the world and its robots.
+
+def check_start(start: Start, world: WorldConfig) -> Start:
+    """Prepares a start and draws a few configurations from it, so that an impossible one fails before any training.
 
     Returns:
-        Centres of the robots, world units.
+        The prepared start.
 
     Raises:
-        InputError: That many robots do not fit there.
+        InputError: The start returns another shape or type, or numbers that are not finite, or its robots do not fit.
     """
-    return {"scattered": _scattered, "distributed": _distributed, "packed": _packed}[config.kind](config, world)
+    prepared = start.prepare(world)
+    key = new_key(0)
+    try:
+        found = eqx.filter_eval_shape(prepared.sample, key, TRIALS, world)
+    except InputError:
+        raise
+    except Exception as error:  # a user's start may raise anything
+        raise InputError("start", start.name, f"a start that can be drawn ({type(error).__name__}: {error})") from None
+    wanted = (TRIALS, world.robots, 2)
+    shape, dtype = getattr(found, "shape", None), getattr(found, "dtype", None)
+    if shape != wanted or dtype is None or not jnp.issubdtype(dtype, jnp.floating):
+        what = f"{dtype}{list(shape)}" if shape is not None else type(found).__name__
+        raise InputError("start", start.name, f"a start whose sample returns float32{list(wanted)}, not {what}")
+    if _surely_fits(prepared, world):
+        return prepared
+    points = draw_starts(prepared, key, TRIALS, world)
+    if not np.isfinite(points).all():
+        raise InputError("start", start.name, "a start of finite numbers")
+    bounds = np.array([world.half_width, world.half_height], np.float32)
+    if (np.abs(points) > bounds).any():
+        raise InputError("start", start.name, f"inside |x| <= {world.half_width:g}, |y| <= {world.half_height:g}")
+    if (clearances(np.moveaxis(points, 0, -1), world.radius) <= 0).any():
+        raise InputError("world.robots", world.robots, f"few enough to fit the {start.name} start without overlap")
+    return prepared
 
 
-def _scattered(config: StartConfig, world: WorldConfig) -> np.ndarray:
-    """Evenly on a circle of radius min(X, Y)."""
-    angle = 2 * np.pi * np.arange(world.robots) / world.robots
-    circle = min(world.half_width, world.half_height)
-    return _fitting(circle * np.stack([np.cos(angle), np.sin(angle)], axis=1), config, world)
+SPARSE = 0.05
+"""Share of the world that discs may cover to be sure to fit anywhere at random: they jam at eleven times as much."""
 
 
-def _distributed(config: StartConfig, world: WorldConfig) -> np.ndarray:
-    """Half of the robots, on a grid, near each of two opposite corners."""
-    first = (world.robots + 1) // 2
-    points = _block(first, math.ceil(math.sqrt(first)), _spacing(config, world)) + _spacing(config, world) / 2
-    corner = np.array([world.half_width, world.half_height])
-    both = np.concatenate([points - corner, corner - points[: world.robots - first]])
-    return _fitting(both, config, world)
+def _surely_fits(start: Start, world: WorldConfig) -> bool:
+    discs = world.robots * np.pi * world.radius**2
+    return type(start) is UniformStart and discs < SPARSE * 4 * world.half_width * world.half_height
 
 
-def _packed(config: StartConfig, world: WorldConfig) -> np.ndarray:
-    """One line, or several, half-way between the gathering point and the lower edge."""
-    spacing = _spacing(config, world)
-    columns = math.ceil(world.robots / config.lines)
-    points = _block(world.robots, columns, spacing)
-    points = points - (points.max(axis=0) + points.min(axis=0)) / 2
-    return _fitting(points - np.array([0.0, world.half_height / 2]), config, world)
+def symmetric_layout(family: Family, robots: int) -> Float[np.ndarray, "robots 2"]:
+    """Places robots symmetrically, the middle at the origin and nearest neighbours 1 apart.
+
+    Args:
+        family: polygon, line, grid or rings; see `SymmetricStart`.
+        robots: Number of robots.
+
+    Raises:
+        InputError: There is no such family, or too few robots for it.
+    """
+    check_choice("family", family, get_args(Family))
+    if robots < 2 or (family == "rings" and robots < 4):
+        raise InputError("robots", robots, f"at least {4 if family == 'rings' else 2} for the start {family}")
+    if family == "line":
+        points = np.stack([np.arange(robots, dtype=float), np.zeros(robots)], axis=1)
+    elif family == "grid":
+        across = math.ceil(math.sqrt(robots))
+        rows = [min(across, robots - first) for first in range(0, robots, across)]
+        points = np.array([[i - (n - 1) / 2, row] for row, n in enumerate(rows) for i in range(n)])
+    elif family == "rings":
+        inner = _polygon(robots // 2)
+        points = np.concatenate([inner, 2 * inner, np.zeros((robots % 2, 2))])
+    else:
+        points = _polygon(robots)
+    points = points - (points.max(axis=0) + points.min(axis=0)) / 2 if family in ("line", "grid") else points
+    apart = np.linalg.norm(points[:, None] - points[None], axis=2)
+    return points / apart[~np.eye(robots, dtype=bool)].min()
 
 
-def _spacing(config: StartConfig, world: WorldConfig) -> float:
-    return config.spacing * world.radius
+def _polygon(corners: int) -> Float[np.ndarray, "corners 2"]:
+    angle = 2 * np.pi * np.arange(corners) / corners
+    return np.stack([np.cos(angle), np.sin(angle)], axis=1)
 
 
 def _block(count: int, columns: int, spacing: float) -> np.ndarray:
@@ -260,11 +513,8 @@ def _block(count: int, columns: int, spacing: float) -> np.ndarray:
     return spacing * np.stack([index % columns, index // columns], axis=1).astype(float)
 
 
-def _fitting(points: np.ndarray, config: StartConfig, world: WorldConfig) -> np.ndarray:
-    outside = (np.abs(points) > np.array([world.half_width, world.half_height])).any()
-    if outside or (clearances(points, world.radius) <= 0).any():
-        raise InputError("world.robots", world.robots, f"few enough to fit the {config.kind} start")
-    return points
+def _bounds(world: WorldConfig) -> Float[Array, "2 1"]:
+    return jnp.stack([jnp.asarray(world.half_width, jnp.float32), jnp.asarray(world.half_height, jnp.float32)])[:, None]
 
 
 def read_starts(path: str | Path, robots: int) -> Float[np.ndarray, "starts robots 2"]:
@@ -314,12 +564,12 @@ def _coordinate(source: str, line: int, row: dict[str, str | None], column: str)
 
 
 def check_configurations(points: Float[np.ndarray, "starts robots 2"], world: WorldConfig, source: str) -> None:
-    """Checks that no given configuration is in collision or outside the world.
+    """Checks that no given configuration is in contact or outside the world.
 
     Raises:
         InputError: One is; the message names which.
     """
-    # What a run computes with is float32, so that is what must be free of collision.
+    # Runs compute with float32, so the rounded positions are what must be free of contact.
     with np.errstate(over="ignore"):
         points = points.astype(np.float32).astype(float)
     bounds = np.array([world.half_width, world.half_height], np.float32)
@@ -329,43 +579,3 @@ def check_configurations(points: Float[np.ndarray, "starts robots 2"], world: Wo
             raise InputError(f"{source}: start {index}", "a robot outside", allowed)
         if (clearances(configuration, world.radius) <= 0).any():
             raise InputError(f"{source}: start {index}", "overlapping robots", f"more than {2 * world.radius:g} apart")
-
-
-SPARSE = 0.05
-"""Share of the world that discs may cover to be sure to fit anywhere at random: they jam at eleven times as much."""
-
-
-def make_start(config: StartConfig, world: WorldConfig) -> Start:
-    """Builds the start that a configuration describes.
-
-    Raises:
-        InputError: It is impossible: too many robots for the place, or a bad file.
-    """
-    sizes = {"half_width": world.half_width, "half_height": world.half_height, "radius": world.radius}
-    if config.kind == "random":
-        start: Start = UniformStart(robots=world.robots, **sizes)
-    else:
-        if config.kind == "file":
-            points = read_starts(config.file, world.robots)
-            check_configurations(points, world, config.file)
-        else:
-            points = layout(config, world)[None]
-        start = JitteredStart(points=jnp.asarray(points, jnp.float32), noise=config.noise * world.radius, **sizes)
-    _check_possible(start, config, world)
-    return start
-
-
-def _check_possible(start: Start, config: StartConfig, world: WorldConfig) -> None:
-    """Draws a few starts with a bounded number of redraws, so that an impossible one fails instead of hanging."""
-    discs = world.robots * np.pi * world.radius**2
-    if config.kind == "random" and discs < SPARSE * 4 * world.half_width * world.half_height:
-        return
-    # NumPy's: of JAX, each operation would be compiled for each size of swarm.
-    trial = np.asarray(_trial(start))
-    if (clearances(trial, world.radius) <= 0).any():
-        raise InputError("world.robots", world.robots, f"few enough to fit the {config.kind} start without overlap")
-
-
-@jax.jit
-def _trial(start: Start) -> Float[Array, "robots 2 batch"]:
-    return start.sample(jax.random.key(0), 16, rounds=ROUNDS)

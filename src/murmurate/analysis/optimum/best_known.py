@@ -19,7 +19,7 @@ from jaxtyping import Float
 
 from murmurate.analysis.optimum.formation import Target
 from murmurate.errors import InputError, check_choice
-from murmurate.world import OBJECTIVES, WeightsConfig, WorldConfig
+from murmurate.world import OBJECTIVES, WorldConfig
 
 __all__ = ["TABLE", "BestKnown", "best_known", "is_record", "load", "to_json"]
 
@@ -151,7 +151,7 @@ def best_known(target: Target) -> float | None:
         None where nothing is known: for other weights, and for sizes that are in no entry's proportions.
     """
     world = target.world
-    if target.weights != WeightsConfig() or world.safety != "penalty":
+    if any(target.weight(name) != 1 for name in OBJECTIVES[target.objective]) or world.safety != "penalty":
         return None
     values = [
         target.value(positions)

@@ -105,7 +105,7 @@ def least_gathering(objective: str, robots: int) -> float:
 
 def upper_bound(target: Target) -> float:
     """Returns what no valid pattern's objective can exceed: packing bounds gathering, the other signals are 1."""
-    world, weights = target.world, target.weights
+    world = target.world
     reach = math.hypot(world.half_width, world.half_height) * (1 if target.gathering == "close" else 2)
     gathered = 1 - least_gathering(target.objective, world.robots) * world.safe_distance / reach
-    return weights.gathering * gathered + weights.safety + weights.neighbors + weights.visible
+    return target.weight("gathering") * gathered + sum(map(target.weight, ("safety", "neighbors", "visible")))

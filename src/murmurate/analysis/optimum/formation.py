@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float
 
+from murmurate.errors import check_choice
 from murmurate.geometry import distances, neighbors_and_visible
-from murmurate.world import OBJECTIVES, Objective, WeightsConfig, WorldConfig, signals
+from murmurate.world import OBJECTIVES, Configuration, Objective, WorldConfig, objective_signals
 
 __all__ = ["Target"]
 
@@ -17,40 +19,42 @@ Points = Float[np.ndarray, "robots 2"]
 
 @dataclass(frozen=True)
 class Target:
-    """An objective in a world: by what formations are compared.
+    """An objective of the paper in a world: what formations are compared by.
 
     Attributes:
         world: Sizes.
         objective: C1 (gathering at the origin) or C2 (at no predefined point).
-        weights: Weights of the signals; the paper's are all 1.
+        weights: Weights of the signals by name, gathering for close or nclose; the paper's are all 1.
     """
 
     world: WorldConfig
     objective: str
-    weights: WeightsConfig = field(default_factory=WeightsConfig)
+    weights: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        check_choice("objective", self.objective, ("C1", "C2"))
 
     @property
     def gathering(self) -> str:
         """The name of the gathering signal."""
-        return OBJECTIVES[self.objective]
+        return OBJECTIVES[self.objective][0]
+
+    def weight(self, signal: str) -> float:
+        """Returns the weight of a signal; gathering is that of close or nclose."""
+        default = self.weights.get("gathering", 1.0) if signal in (self.gathering, "gathering") else 1.0
+        return self.weights.get(self.gathering if signal == "gathering" else signal, default)
 
     def signals(self, positions: Float[np.ndarray, "robots 2 *batch"]) -> dict[str, Float[np.ndarray, "*batch"]]:
         """Measures configurations by the objective's signals; NumPy or JAX, as they come."""
-        world = self.world
-        return signals(
-            positions,
-            gathering=self.gathering,
-            half_width=world.half_width,
-            half_height=world.half_height,
-            radius=world.radius,
-            scan_radius=world.scan_radius,
-            safe_distance=world.safe_distance,
-            safety=world.safety,
-        )
+        return self._objective().measure(Configuration(positions, self.world))
+
+    def objective_of(self, positions: Float[np.ndarray, "robots 2 *batch"]) -> Float[np.ndarray, "*batch"]:
+        """Returns the weighted objective of configurations; NumPy or JAX, as they come."""
+        return self._objective()(self.signals(positions))
 
     def value(self, positions: Points) -> float:
         """Returns the weighted objective of one configuration, in float64."""
-        return float(Objective.create(self.objective, self.weights)(self.signals(np.asarray(positions, float))))
+        return float(self.objective_of(np.asarray(positions, float)))
 
     def is_valid(self, positions: Points) -> bool:
         """Says whether a configuration would be a valid pattern: gathered, mutually visible, safe, inside the world."""
@@ -60,3 +64,7 @@ class Target:
         safe = distances(positions) >= world.safe_distance
         inside = np.abs(positions) <= np.array([world.half_width, world.half_height])
         return bool((near & seen & safe)[other].all() and inside.all())
+
+    def _objective(self) -> Objective:
+        signals = objective_signals(self.objective)
+        return Objective(signals, {name: self.weight(name) for name in signals})

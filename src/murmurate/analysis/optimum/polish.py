@@ -102,15 +102,15 @@ class _Problem:
         reach = math.hypot(world.half_width, world.half_height) / unit
         centred = target.gathering == "close"
         # Everything is measured in mean safe distances of gathering, so that the solver's numbers are near 1.
-        weight = target.weights.gathering or 1.0
+        weight = target.weight("gathering") or 1.0
         scale = reach * (1 if centred else 2) / weight
         return cls(
             radius=world.radius / unit,
             scan=world.scan_radius / unit,
             edge=np.array([world.half_width, world.half_height]) / unit,
             centred=centred,
-            gathering=target.weights.gathering / weight,
-            safety=target.weights.safety * scale,
+            gathering=target.weight("gathering") / weight,
+            safety=target.weight("safety") * scale,
             shell=world.safety == "shell",
             safe=distances(points) >= unit * (1 - LOOSE),
             near=near,

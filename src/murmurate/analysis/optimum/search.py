@@ -8,7 +8,7 @@ the result (`hop`).
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
@@ -20,9 +20,9 @@ from murmurate.analysis.optimum.annealing import AnnealingConfig, anneal
 from murmurate.analysis.optimum.bounds import ring
 from murmurate.analysis.optimum.formation import Target
 from murmurate.analysis.optimum.polish import polish
-from murmurate.errors import MOST, check_choice, check_number
+from murmurate.errors import GREATEST, MOST, check_choice, check_number
 from murmurate.geometry import distances, similarity
-from murmurate.world import OBJECTIVES, Objective, WeightsConfig, WorldConfig
+from murmurate.world import WorldConfig
 
 __all__ = ["Formation", "OptimumConfig", "annealed", "distinct", "hop", "search"]
 
@@ -51,7 +51,7 @@ class OptimumConfig:
 
     world: WorldConfig
     objective: Literal["C1", "C2"]
-    weights: WeightsConfig = field(default_factory=WeightsConfig)
+    weights: Mapping[str, float] = field(default_factory=dict)
     annealing: AnnealingConfig = field(default_factory=AnnealingConfig)
     only_valid: bool = True
     polished: int = 32
@@ -59,7 +59,9 @@ class OptimumConfig:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        check_choice("objective", self.objective, tuple(OBJECTIVES))
+        check_choice("objective", self.objective, ("C1", "C2"))
+        for name, weight in self.weights.items():
+            check_number(f"weights.{name}", weight, 0, GREATEST)
         check_number("polished", self.polished, 0, MOST, integer=True)
         check_number("hops", self.hops, 0, 1_000_000, integer=True)
         check_number("seed", self.seed, 0, MOST, integer=True)
@@ -195,15 +197,15 @@ def _score(target: Target, only_valid: bool) -> Any:
     """Returns what the annealing climbs: the objective, or gathering above all that a valid pattern needs."""
     world = target.world
     if not only_valid:
-        objective = Objective.create(target.objective, target.weights)
-        return lambda positions: objective(target.signals(positions))
-    required = Objective.create(target.objective, WeightsConfig(1.0, REQUIRED, 0.0, REQUIRED))
+        return target.objective_of
+    weights = {"gathering": 1.0, "safety": REQUIRED, "neighbors": 0.0, "visible": REQUIRED}
+    required = replace(target, weights=weights)
 
     def score(positions: Any) -> Any:
         # How far beyond scanning distance, instead of how many: the signal alone would not say which way is better.
         beyond = distances(positions) - world.scan_radius
         far = (beyond * (beyond > 0)).sum(axis=(0, 1)) / (world.safe_distance * world.robots)
-        return required(target.signals(positions)) - REQUIRED * far
+        return required.objective_of(positions) - REQUIRED * far
 
     return score
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import gymnasium
@@ -19,8 +20,7 @@ from murmurate.interop.gymnasium.spaces import (
     look_for,
     observation_space,
 )
-from murmurate.world import StartConfig, WeightsConfig
-from murmurate.world.starts import StartKind
+from murmurate.world import Start
 
 __all__ = ["GatheringEnv"]
 
@@ -41,8 +41,8 @@ class GatheringEnv(gymnasium.Env[Any, Float[np.ndarray, "robots 2"]]):
         robots: int = 10,
         objective: str = "C1",
         *,
-        start: StartConfig | StartKind = "random",
-        weights: WeightsConfig | None = None,
+        start: Start | str = "random",
+        weights: Mapping[str, float] | None = None,
         horizon: int = 400,
         observations: Observations = "positions",
         action_scale: ActionScale = "unit",

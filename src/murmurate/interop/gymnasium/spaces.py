@@ -49,7 +49,7 @@ def look_for(observations: Observations) -> Look:
 
 
 def _sensing(world: World, state: State) -> dict[str, Any]:
-    near, seen = neighbors_and_visible(state.positions, world.radius, world.scan_radius)
+    near, seen = neighbors_and_visible(state.positions, world.config.radius, world.config.scan_radius)
     return {"positions": state.positions, "neighbors": near.astype(np.int8), "visible": seen.astype(np.int8)}
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import gymnasium
@@ -23,8 +24,7 @@ from murmurate.interop.gymnasium.spaces import (
     look_for,
     observation_space,
 )
-from murmurate.world import StartConfig, WeightsConfig
-from murmurate.world.starts import StartKind
+from murmurate.world import Start
 
 __all__ = ["GatheringVectorEnv"]
 
@@ -52,8 +52,8 @@ class GatheringVectorEnv(VectorEnv[Any, Float[np.ndarray, "envs robots 2"], np.n
         robots: int = 10,
         objective: str = "C1",
         *,
-        start: StartConfig | StartKind = "random",
-        weights: WeightsConfig | None = None,
+        start: Start | str = "random",
+        weights: Mapping[str, float] | None = None,
         horizon: int = 400,
         observations: Observations = "positions",
         action_scale: ActionScale = "unit",

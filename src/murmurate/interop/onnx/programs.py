@@ -13,15 +13,16 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from murmurate.errors import InputError
-from murmurate.policies.local import LocalPolicy
+from murmurate.policies.local import LocalNetwork
 from murmurate.runs.run import Run
-from murmurate.world import Objective, WeightsConfig, signals
-from murmurate.world.signals import gathering_signal
+from murmurate.types import Observation, View
+from murmurate.world import Configuration, Objective
 
 __all__ = ["LARGEST", "Program", "cascade", "objective", "policy"]
 
@@ -47,22 +48,6 @@ class Program:
     inputs: dict[str, tuple[int | str, ...]]
     outputs: tuple[str, ...]
     about: dict[str, str]
-
-
-class _View(NamedTuple):
-    """What one robot perceives, as the observer's axis of length 1."""
-
-    x: Array
-    y: Array
-    seen: Array
-    radius: Array
-    point_x: Array
-    point_y: Array
-    walls: Array | None
-
-
-class _Perception(NamedTuple):
-    view: _View
 
 
 class _Scale(NamedTuple):
@@ -93,7 +78,7 @@ def policy(run: Run, index: int) -> Program:
         raise InputError("--policy", index, f"{allowed} of {run.folder}")
     chosen = policies[index]
     about = {**_about(run), "policies": str(index)}
-    if isinstance(chosen, LocalPolicy):
+    if isinstance(chosen, LocalNetwork):
         return _local(chosen, run, about)
     return Program(
         lambda positions: (_batch_first(chosen(_batch_last(positions))),),
@@ -111,7 +96,7 @@ def cascade(run: Run) -> Program:
             can tell when the swarm is at rest.
     """
     policies = run.cascade.policies
-    if run.experiment.policy.kind == "local":
+    if run.experiment.policy.perceives:
         if len(policies) > 1:
             raise InputError(
                 "--policy", None, f"0 to {len(policies) - 1}: no robot alone can tell when the next begins"
@@ -149,10 +134,10 @@ def objective(run: Run, positions: Float[np.ndarray, "batch robots 2"]) -> Float
     return np.asarray(_objective(run, _batch_last(jnp.asarray(positions)), _scale(run)(positions.shape[1])))
 
 
-def _local(chosen: LocalPolicy, run: Run, about: dict[str, str]) -> Program:
-    sizes = chosen.sizes
+def _local(chosen: LocalNetwork, run: Run, about: dict[str, str]) -> Program:
+    world = chosen.world
     inputs: dict[str, tuple[int | str, ...]] = {"others": ("batch", "others", 2)}
-    if sizes.landmark:
+    if chosen.landmark:
         inputs["point"] = ("batch", 2)
     if run.experiment.sensing.walls:
         inputs["walls"] = ("batch", 4, 2)
@@ -165,13 +150,15 @@ def _local(chosen: LocalPolicy, run: Run, about: dict[str, str]) -> Program:
         where = jnp.transpose(told["point"]) if "point" in told else jnp.zeros_like(jnp.transpose(others[:, 0]))
         walls = jnp.moveaxis(told["walls"], 0, -1)[None] if "walls" in told else None
         one = jnp.ones_like(x[:, 0])
-        view = _View(x, y, seen, sizes.radius * one, where[0] * one, where[1] * one, walls)
-        velocity = chosen(_Perception(view))  # type: ignore[arg-type]
+        view = View(x, y, seen, world.radius * one, where[0] * one, where[1] * one, walls)
+        # An acting policy looks at its view alone; the rest of an observation serves training.
+        nothing = jnp.zeros((1, 2, 1), x.dtype)
+        velocity = chosen(Observation(view, nothing, nothing[:, 0]))
         return (jnp.transpose(velocity[0]),)
 
     words = {
         "others": "those that the robot perceives, from where it is, in its own frame, "
-        f"robots' radius {sizes.radius:g}; (0, 0) is nobody",
+        f"robots' radius {world.radius:g}; (0, 0) is nobody",
         "velocity": "in its own frame, world units per step",
     }
     if "walls" in inputs:
@@ -202,17 +189,10 @@ def _objective(run: Run, positions: Float[Array, "robots 2 batch"], sizes: _Scal
     """Measures the objective as the cascade does, in the world that a swarm of that size has."""
     experiment = run.experiment
     world = experiment.world
-    values = signals(
-        positions,
-        gathering=gathering_signal(experiment.objective),
-        half_width=sizes.half_width,
-        half_height=sizes.half_height,
-        radius=world.radius,
-        scan_radius=sizes.scan_radius,
-        safe_distance=world.safe_distance,
-        safety=world.safety,
-    )
-    return Objective.create(experiment.objective, WeightsConfig())(values)
+    sizes_of_world = (sizes.half_width, sizes.half_height, sizes.scan_radius)
+    world = eqx.tree_at(lambda w: (w.half_width, w.half_height, w.scan_radius), world, sizes_of_world)
+    objective = Objective(experiment.objective_signals)
+    return objective(objective.measure(Configuration(positions, world)))
 
 
 def _scale(run: Run) -> Callable[[Any], _Scale]:
@@ -250,14 +230,14 @@ def _longest_window(run: Run) -> int:
 
 def _robots(run: Run) -> int | str:
     """The axis of robots: a number where a policy knows them by number, any number otherwise."""
-    return run.experiment.world.robots if run.experiment.policy.kind == "central" else "robots"
+    return run.experiment.world.robots if not run.experiment.policy.any_size else "robots"
 
 
 def _about(run: Run) -> dict[str, str]:
     world = run.experiment.world
     return {
         "experiment": run.experiment.name,
-        "kind": run.experiment.policy.kind,
+        "kind": run.experiment.policy.name,
         "robots": str(world.robots),
         "radius": f"{world.radius:g}",
         "max_speed": f"{world.max_speed:g}",

@@ -22,4 +22,4 @@ BASELINES = {
     "gradient": GradientAscent,
     "two-color": TwoColor,
 }
-"""Every baseline by name; each is built of `Sizes` alone."""
+"""Every baseline by name; each is built of a `WorldConfig` and whether there is a landmark."""

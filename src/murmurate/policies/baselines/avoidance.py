@@ -21,9 +21,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from murmurate.policies import Sizes
 from murmurate.policies.baselines.sight import Sight
-from murmurate.policies.local import ways
+from murmurate.policies.shield import wall_directions
+from murmurate.world.config import WorldConfig
 
 __all__ = ["KEEP", "avoiding", "limited"]
 
@@ -48,7 +48,7 @@ def limited(x: Array, y: Array, limit: float) -> tuple[Array, Array]:
 
 
 def avoiding(
-    x: Float[Array, "robots *batch"], y: Float[Array, "robots *batch"], seen: Sight, sizes: Sizes
+    x: Float[Array, "robots *batch"], y: Float[Array, "robots *batch"], seen: Sight, world: WorldConfig
 ) -> Float[Array, "robots 2 *batch"]:
     """Returns the velocities nearest to the wanted ones that avoid collisions and keep the safe distance.
 
@@ -58,28 +58,28 @@ def avoiding(
         x: First coordinate of each robot's wanted velocity, its own frame, world units per step.
         y: Second coordinate, likewise.
         seen: Whom each robot sees.
-        sizes: The world's.
+        world: The world's.
     """
-    x, y = limited(x, y, sizes.max_speed)
+    x, y = limited(x, y, world.max_speed)
     far = jnp.where(seen.seen, seen.distance, jnp.inf)
     ux, uy = seen.x / seen.distance, seen.y / seen.distance
     # The nearest first: an order that depends on no robot's number.
     near, sx, sy = (a[:, :NEAREST] for a in jax.lax.sort((far, ux, uy), dimension=1, num_keys=1))
-    soft = jnp.maximum((near - KEEP * sizes.safe_distance) / 2, -sizes.max_speed / 4)
-    bound = jnp.minimum(soft, _room(near, sizes))
+    soft = jnp.maximum((near - KEEP * world.safe_distance) / 2, -world.max_speed / 4)
+    bound = jnp.minimum(soft, _room(near, world))
     wx, wy, way = _walls(seen)
     planes = (jnp.concatenate(pair, axis=1) for pair in ((sx, wx), (sy, wy), (bound, way)))
-    x, y = limited(*_projected(x, y, *planes), sizes.max_speed)
+    x, y = limited(*_projected(x, y, *planes), world.max_speed)
     share = jnp.minimum(
-        _share(x, y, ux, uy, far, sizes),
+        _share(x, y, ux, uy, far, world),
         _shortest(x[:, None] * wx + y[:, None] * wy, way),
     )
     return jnp.stack([x * share, y * share], axis=1)
 
 
-def _room(distance: Array, sizes: Sizes) -> Array:
+def _room(distance: Array, world: WorldConfig) -> Array:
     """How far a robot may go towards another one."""
-    return jnp.maximum(distance / 2 - (1 + MARGIN) * sizes.radius, 0.0)
+    return jnp.maximum(distance / 2 - (1 + MARGIN) * world.radius, 0.0)
 
 
 def _walls(seen: Sight) -> tuple[Array, Array, Array]:
@@ -87,7 +87,7 @@ def _walls(seen: Sight) -> tuple[Array, Array, Array]:
     if seen.walls is None:
         nowhere = seen.x[:, :0]
         return nowhere, nowhere, nowhere
-    normal, way = ways(seen.walls)
+    normal, way = wall_directions(seen.walls)
     return normal[:, :, 0], normal[:, :, 1], (1 - MARGIN) * way
 
 
@@ -108,14 +108,14 @@ def _projected(x: Array, y: Array, ux: Array, uy: Array, bound: Array) -> tuple[
     return x, y
 
 
-def _share(x: Array, y: Array, ux: Array, uy: Array, distance: Array, sizes: Sizes) -> Array:
+def _share(x: Array, y: Array, ux: Array, uy: Array, distance: Array, world: WorldConfig) -> Array:
     """How much of a velocity leads it nowhere near a robot that is seen, or that one in its shadow could be."""
     speed = jnp.sqrt(x * x + y * y + 1e-12)
     along = jnp.clip((x[:, None] * ux + y[:, None] * uy) / speed[:, None], -1.0, 1.0)
     # Discs no nearer than this one that overlap it in view are less than twice its own half-angle aside.
-    aside = jnp.arccos(along) - 2 * jnp.arcsin(jnp.minimum(sizes.radius / distance, 1.0))
+    aside = jnp.arccos(along) - 2 * jnp.arcsin(jnp.minimum(world.radius / distance, 1.0))
     approach = speed[:, None] * jnp.cos(jnp.maximum(aside, 0.0))
-    return _shortest(approach, _room(distance, sizes))
+    return _shortest(approach, _room(distance, world))
 
 
 def _shortest(approach: Array, room: Array) -> Array:

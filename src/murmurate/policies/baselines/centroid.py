@@ -7,10 +7,10 @@ from typing import ClassVar
 import equinox as eqx
 from jaxtyping import Array, Float
 
-from murmurate.policies import Sizes
 from murmurate.policies.baselines.avoidance import avoiding
 from murmurate.policies.baselines.sight import mean_of_seen, sight
-from murmurate.policies.local import Perception
+from murmurate.types import Observation
+from murmurate.world.config import WorldConfig
 
 __all__ = ["Centroid"]
 
@@ -24,10 +24,11 @@ class Centroid(eqx.Module):
     title: ClassVar[str] = "Centroid"
     centralised: ClassVar[bool] = False
     deviations: ClassVar[str] = ""
-    sizes: Sizes = eqx.field(static=True)
+    world: WorldConfig = eqx.field(static=True)
+    landmark: bool = eqx.field(static=True)
 
-    def __call__(self, observation: Perception) -> Float[Array, "robots 2 *batch"]:
+    def __call__(self, observation: Observation) -> Float[Array, "robots 2 *batch"]:
         """Returns velocities in each robot's own frame, world units per step."""
-        seen = sight(observation.view, self.sizes)
-        x, y = (seen.point_x, seen.point_y) if self.sizes.landmark else mean_of_seen(seen)
-        return avoiding(GAIN * x, GAIN * y, seen, self.sizes)
+        seen = sight(observation.view, self.world)
+        x, y = (seen.point_x, seen.point_y) if self.landmark else mean_of_seen(seen)
+        return avoiding(GAIN * x, GAIN * y, seen, self.world)

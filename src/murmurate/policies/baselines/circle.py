@@ -12,10 +12,10 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 from scipy.optimize import linear_sum_assignment
 
-from murmurate.policies import Sizes
 from murmurate.policies.baselines.avoidance import avoiding
 from murmurate.policies.baselines.sight import everyone, mean_of_seen, sight
-from murmurate.policies.local import Perception
+from murmurate.types import Observation
+from murmurate.world.config import WorldConfig
 
 __all__ = ["CentralCircle", "VisibleCircle", "enclosing", "least_ring"]
 
@@ -34,7 +34,7 @@ MOST_HIDDEN = 1.5
 """Robots that a robot takes to be there at most, for each that it sees."""
 
 
-def least_ring(count: Any, sizes: Sizes) -> Float[Array, "*shape"]:
+def least_ring(count: Any, world: WorldConfig) -> Float[Array, "*shape"]:
     """Returns the least radius of a regular ring on which all see each other and keep the safe distance, world units.
 
     From one robot on a ring the next ones are theta = pi / N apart in view, and the first two are the nearest, so they
@@ -43,15 +43,15 @@ def least_ring(count: Any, sizes: Sizes) -> Float[Array, "*shape"]:
 
     Args:
         count: N, any number or array of them; fewer than two count as two.
-        sizes: The radius R and the safe distance.
+        world: The radius R and the safe distance.
     """
     count = jnp.asarray(count, jnp.float32)
     theta = math.pi / jnp.maximum(count, 3.0)
     first, second = jnp.sin(theta), jnp.sin(2 * theta)
     third = jnp.sqrt(first**2 + second**2 + 2 * first * second * jnp.cos(theta))
-    clear = sizes.radius * third / (2 * first * second * first)
-    safe = sizes.safe_distance / (2 * first)
-    return jnp.where(count > 2, jnp.maximum(clear, safe), sizes.safe_distance / 2)
+    clear = world.radius * third / (2 * first * second * first)
+    safe = world.safe_distance / (2 * first)
+    return jnp.where(count > 2, jnp.maximum(clear, safe), world.safe_distance / 2)
 
 
 def enclosing(
@@ -97,15 +97,16 @@ class VisibleCircle(eqx.Module):
     title: ClassVar[str] = "Circle of those seen"
     centralised: ClassVar[bool] = False
     deviations: ClassVar[str] = ""
-    sizes: Sizes = eqx.field(static=True)
+    world: WorldConfig = eqx.field(static=True)
+    landmark: bool = eqx.field(static=True)
 
-    def __call__(self, observation: Perception) -> Float[Array, "robots 2 *batch"]:
+    def __call__(self, observation: Observation) -> Float[Array, "robots 2 *batch"]:
         """Returns velocities in each robot's own frame, world units per step."""
-        sizes = self.sizes
-        seen = sight(observation.view, sizes)
+        world = self.world
+        seen = sight(observation.view, world)
         me = jnp.eye(seen.x.shape[0], dtype=bool).reshape(seen.x.shape[:2] + (1,) * (seen.x.ndim - 2))
         cx, cy = seen.point_x, seen.point_y
-        if not sizes.landmark:
+        if not self.landmark:
             cx, cy, _ = enclosing(seen.x, seen.y, seen.seen | me, mean_of_seen(seen))
         mine = jnp.sqrt(cx * cx + cy * cy + 1e-12)
         ox, oy = -cx / mine, -cy / mine
@@ -113,9 +114,9 @@ class VisibleCircle(eqx.Module):
         count = jnp.sum(seen.seen, axis=1) + 1
         # Who sees its two neighbours on a ring knows how many fit on it, even if they hide the rest.
         crowd = jnp.minimum(4 * jnp.pi / jnp.maximum(after + before, 1e-3), MOST_HIDDEN * count)
-        radius = SLACK * least_ring(jnp.maximum(count, crowd), sizes)
+        radius = SLACK * least_ring(jnp.maximum(count, crowd), world)
         outwards, along = GAIN * (radius - mine), GAIN * jnp.minimum(mine, radius) * (after - before) / 2
-        return avoiding(outwards * ox - along * oy, outwards * oy + along * ox, seen, sizes)
+        return avoiding(outwards * ox - along * oy, outwards * oy + along * ox, seen, world)
 
 
 def _gaps(x: Array, y: Array, ox: Array, oy: Array, seen: Array) -> tuple[Array, Array]:
@@ -142,24 +143,25 @@ class CentralCircle(eqx.Module):
     title: ClassVar[str] = "Assigned circle"
     centralised: ClassVar[bool] = True
     deviations: ClassVar[str] = "Centralised: it knows where everybody is in a common frame, and assigns places."
-    sizes: Sizes = eqx.field(static=True)
+    world: WorldConfig = eqx.field(static=True)
+    landmark: bool = eqx.field(static=True)
 
-    def __call__(self, observation: Perception) -> Float[Array, "robots 2 *batch"]:
+    def __call__(self, observation: Observation) -> Float[Array, "robots 2 *batch"]:
         """Returns velocities in the world's frame, world units per step."""
-        sizes, positions = self.sizes, observation.positions
+        world, positions = self.world, observation.positions
         robots = positions.shape[0]
         center = jnp.zeros((1, *positions.shape[1:]), positions.dtype)
-        if not sizes.landmark:
+        if not self.landmark:
             x, y = positions[None, :, 0], positions[None, :, 1]
             cx, cy, _ = enclosing(x, y, jnp.ones(x.shape, bool), (jnp.mean(x, axis=1), jnp.mean(y, axis=1)))
             center = jnp.concatenate([cx, cy])[None]
-        radius = SLACK * least_ring(robots, sizes)
+        radius = SLACK * least_ring(robots, world)
         shape = jax.ShapeDtypeStruct(positions.shape, positions.dtype)
         places = jax.pure_callback(_assigned, shape, positions - center, radius) + center
         way = places - positions
         longest = jnp.max(jnp.sqrt(jnp.sum(way**2, axis=1)), axis=0)
-        way = way / jnp.maximum(longest / sizes.max_speed, 1 / GAIN)
-        return avoiding(way[:, 0], way[:, 1], everyone(positions), sizes)
+        way = way / jnp.maximum(longest / world.max_speed, 1 / GAIN)
+        return avoiding(way[:, 0], way[:, 1], everyone(positions), world)
 
 
 def _assigned(

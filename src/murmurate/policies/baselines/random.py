@@ -8,8 +8,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from murmurate.policies import Sizes
-from murmurate.policies.local import Perception
+from murmurate.types import Observation
+from murmurate.world.config import WorldConfig
 
 __all__ = ["RandomWalk"]
 
@@ -24,15 +24,16 @@ class RandomWalk(eqx.Module):
     title: ClassVar[str] = "Random walk"
     centralised: ClassVar[bool] = False
     deviations: ClassVar[str] = ""
-    sizes: Sizes = eqx.field(static=True)
+    world: WorldConfig = eqx.field(static=True)
+    landmark: bool = eqx.field(static=True)
 
-    def __call__(self, observation: Perception) -> Float[Array, "robots 2 *batch"]:
+    def __call__(self, observation: Observation) -> Float[Array, "robots 2 *batch"]:
         """Returns velocities in each robot's own frame, world units per step."""
         view = observation.view
         unit = view.radius[:, None]
         total = jnp.sum(jnp.sin(12.9898 * view.x / unit) + jnp.sin(78.233 * view.y / unit), axis=1)
         angle, share = 2 * jnp.pi * _hashed(total), jnp.sqrt(_hashed(total + 1.0))
-        speed = (1 - 1e-6) * self.sizes.max_speed * share
+        speed = (1 - 1e-6) * self.world.max_speed * share
         return jnp.stack([speed * jnp.cos(angle), speed * jnp.sin(angle)], axis=1)
 
 

@@ -7,9 +7,9 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from murmurate.policies import Sizes
 from murmurate.policies.layers import fold
-from murmurate.policies.local import View
+from murmurate.types import View
+from murmurate.world.config import WorldConfig
 
 __all__ = ["Sight", "everyone", "mean_of_seen", "sight"]
 
@@ -36,12 +36,12 @@ class Sight(NamedTuple):
     walls: Float[Array, "robots 4 2 *batch"] | None = None
 
 
-def sight(view: View, sizes: Sizes) -> Sight:
+def sight(view: View, world: WorldConfig) -> Sight:
     """Returns what the robots see; how long a robot's unit is it tells by the radius it perceives."""
-    scale = sizes.radius / view.radius
+    scale = world.radius / view.radius
     x, y = view.x * scale[:, None], view.y * scale[:, None]
     walls = None if view.walls is None else view.walls * scale[:, None, None]
-    return _sight(x, y, view.seen, view.point_x * scale, view.point_y * scale)._replace(walls=walls)
+    return _sight(x, y, view.seen, view.landmark_x * scale, view.landmark_y * scale)._replace(walls=walls)
 
 
 def everyone(positions: Float[Array, "robots 2 *batch"]) -> Sight:

@@ -31,10 +31,10 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from murmurate.policies import Sizes
 from murmurate.policies.baselines.avoidance import KEEP, avoiding
 from murmurate.policies.baselines.sight import Sight, mean_of_seen, sight
-from murmurate.policies.local import Perception
+from murmurate.types import Observation
+from murmurate.world.config import WorldConfig
 
 __all__ = ["TwoColor"]
 
@@ -62,18 +62,19 @@ class TwoColor(eqx.Module):
         "with the baselines' collision avoidance; robots know the radius, the safe distance and the speed limit; "
         "corners gather, and make room where edges are too short."
     )
-    sizes: Sizes = eqx.field(static=True)
+    world: WorldConfig = eqx.field(static=True)
+    landmark: bool = eqx.field(static=True)
 
-    def __call__(self, observation: Perception) -> Float[Array, "robots 2 *batch"]:
+    def __call__(self, observation: Observation) -> Float[Array, "robots 2 *batch"]:
         """Returns velocities in each robot's own frame, world units per step."""
-        sizes = self.sizes
-        seen = sight(observation.view, sizes)
-        mine, edges = _own_edges(seen, sizes), _edges(seen)
-        out = _way_out(seen, edges, sizes)
+        world = self.world
+        seen = sight(observation.view, world)
+        mine, edges = _own_edges(seen, world), _edges(seen)
+        out = _way_out(seen, edges, world)
         inside = jnp.any(seen.seen & ~edges.corner, axis=1)
-        corner_x, corner_y = _as_corner(seen, mine, inside, sizes)
+        corner_x, corner_y = _as_corner(seen, mine, inside, world, self.landmark)
         x, y = jnp.where(mine.corner, corner_x, out[0]), jnp.where(mine.corner, corner_y, out[1])
-        return avoiding(GAIN * x, GAIN * y, seen, sizes)
+        return avoiding(GAIN * x, GAIN * y, seen, world)
 
 
 class _Own(NamedTuple):
@@ -98,7 +99,7 @@ class _Own(NamedTuple):
     most: Float[Array, "robots *batch"]
 
 
-def _own_edges(seen: Sight, sizes: Sizes) -> _Own:
+def _own_edges(seen: Sight, world: WorldConfig) -> _Own:
     angle = jnp.arctan2(seen.y, seen.x)
     turns, followers = [], []
     for j in range(seen.x.shape[1]):
@@ -123,7 +124,7 @@ def _own_edges(seen: Sight, sizes: Sizes) -> _Own:
         out_y=-ex / wide,
         # Who sees only one robot has no such line.
         bulge=jnp.where(edge > 0, (ay * ex - ax * ey) / wide, longer),
-        needed=jnp.where(edge > 0, BULGE * sizes.radius * (1 + longer / wide), 0.0),
+        needed=jnp.where(edge > 0, BULGE * world.radius * (1 + longer / wide), 0.0),
         least=jnp.minimum(a, b),
         most=longer,
     )
@@ -168,13 +169,13 @@ def _beside(seen: Sight) -> Bool[Array, "robots robots *batch"]:
     return seen.seen & (left | right)
 
 
-def _way_out(seen: Sight, edges: _Edges, sizes: Sizes) -> tuple[Array, Array]:
+def _way_out(seen: Sight, edges: _Edges, world: WorldConfig) -> tuple[Array, Array]:
     """The way from each robot inside to just beyond the middle of the nearest edge; whoever sees none stays."""
     robots, batch = seen.x.shape[1], seen.x.shape[2:]
     length = jnp.sqrt(jnp.where(edges.edge, edges.gap_x**2 + edges.gap_y**2, 1.0))
     nx, ny = edges.gap_y / length, -edges.gap_x / length
     away = nx * seen.x[:, :, None] + ny * seen.y[:, :, None]
-    beyond = BULGE * 1.5 * sizes.radius
+    beyond = BULGE * 1.5 * world.radius
     x = seen.x[:, :, None] + edges.gap_x / 2 + beyond * nx
     y = seen.y[:, :, None] + edges.gap_y / 2 + beyond * ny
     flat = [a.reshape((robots, robots * robots, *batch)) for a in (x, y, jnp.where(edges.edge, away, jnp.inf))]
@@ -183,18 +184,18 @@ def _way_out(seen: Sight, edges: _Edges, sizes: Sizes) -> tuple[Array, Array]:
     return jnp.where(jnp.isfinite(away), x, 0.0), jnp.where(jnp.isfinite(away), y, 0.0)
 
 
-def _as_corner(seen: Sight, mine: _Own, inside: Array, sizes: Sizes) -> tuple[Array, Array]:
+def _as_corner(seen: Sight, mine: _Own, inside: Array, world: WorldConfig, landmark: bool) -> tuple[Array, Array]:
     """The way of a corner: outwards while it stands out or has room too little, else in on the middle."""
-    keep = KEEP * sizes.safe_distance
+    keep = KEEP * world.safe_distance
     flat = jnp.maximum(mine.needed - mine.bulge, 0.0)
     # An edge through which a robot comes is split in two.
     room = jnp.where(inside, 2.0, 1.0) * keep
     short = jnp.where(inside, jnp.maximum(room - mine.most, 0.0) / 2, 0.0)
     outwards = jnp.maximum(flat, short)
     # Slowly while the swarm is wide: walls are not seen, and the corners beside this one are still drawing in.
-    outwards = jnp.where(mine.least > WIDE * keep, jnp.minimum(outwards, SLOW * sizes.max_speed), outwards)
+    outwards = jnp.where(mine.least > WIDE * keep, jnp.minimum(outwards, SLOW * world.max_speed), outwards)
     cx, cy = mean_of_seen(seen)
-    if sizes.landmark:
+    if landmark:
         cx, cy = (cx + seen.point_x) / 2, (cy + seen.point_y) / 2
     far = jnp.sqrt(cx * cx + cy * cy + 1e-12)
     spare = jnp.minimum(mine.least - 1.1 * room, mine.bulge - 1.2 * mine.needed)

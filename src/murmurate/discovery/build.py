@@ -1,0 +1,184 @@
+"""Builds the parts of a problem: its world, environment, networks and cascade."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from murmurate.discovery.cascade import Cascade
+from murmurate.discovery.problem import Problem
+from murmurate.errors import InputError
+from murmurate.policies import ShieldWrapper
+from murmurate.registry import Strategy
+from murmurate.world import (
+    Configuration,
+    LocalObservation,
+    SchedulerWrapper,
+    Signal,
+    Start,
+    World,
+    WorldConfig,
+    Wrapper,
+    check_start,
+    draw_starts,
+    new_key,
+    with_array_leaves,
+)
+
+__all__ = ["build_cascade", "build_environment", "build_networks", "build_world", "check_parts", "policy_templates"]
+
+
+def build_world(problem: Problem, start: Start | None = None) -> World:
+    """Builds the world as evaluation measures it: the problem's start, and the signals' own weights.
+
+    Args:
+        problem: The problem.
+        start: A prepared start to use instead of the problem's own.
+
+    Raises:
+        InputError: The start is not possible in this world.
+    """
+    start = check_start(problem.start, problem.world) if start is None else start
+    return with_array_leaves(World.create(problem.world, start, problem.objective_signals))
+
+
+def build_environment(problem: Problem, world: World, perceived: WorldConfig | None = None) -> World | Wrapper:
+    """Puts the scheduler, the sensing and the shield of a problem around a world.
+
+    Args:
+        problem: The problem.
+        world: The world.
+        perceived: The sizes by which robots perceive the world and shields act: in training with a margin, those of the
+            world without it.
+    """
+    perceived = world.config if perceived is None else perceived
+    env: World | Wrapper = world
+    if not problem.scheduler.is_trivial:
+        env = SchedulerWrapper(env, problem.scheduler)
+    if problem.policy.perceives:
+        env = LocalObservation(env, problem.sensing, perceived)
+    if not problem.shield.is_trivial:
+        env = ShieldWrapper(env, with_array_leaves(problem.shield), perceived)
+    return env
+
+
+def build_networks(problem: Problem, key: PRNGKeyArray) -> tuple[Any, Any]:
+    """Builds fresh policy and value networks."""
+    networks = _networks(problem.policy, problem.world, problem.landmark, key)
+    # An array made of a Python number is weakly typed: training would compile once more at its second chunk.
+    return jax.tree.map(lambda x: jnp.asarray(x, x.dtype) if eqx.is_array(x) else x, networks)
+
+
+def build_cascade(problem: Problem, policies: Sequence[Any], world: World | None = None) -> Cascade:
+    """Returns the list of policies as it is executed.
+
+    Args:
+        problem: The problem.
+        policies: The policy networks.
+        world: The world of `build_world`, where it is built already.
+    """
+    world = build_world(problem) if world is None else world
+    return Cascade(tuple(policies), build_environment(problem, world), problem.rest_in_steps)
+
+
+def policy_templates(problem: Problem, count: int) -> tuple[Any, ...]:
+    """Returns `count` policy networks without numbers, to load weights into."""
+    key = jax.eval_shape(lambda: new_key(0))
+    template, _ = eqx.filter_eval_shape(_networks, problem.policy, problem.world, problem.landmark, key)
+    return (template,) * count
+
+
+def check_parts(problem: Problem) -> None:
+    """Checks that the strategies that are not of this package return what they should, once and before any training.
+
+    Raises:
+        InputError: One cannot be evaluated, returns another shape or type, or numbers that are not finite; or
+            exploration is scheduled for a policy without a spread to schedule.
+    """
+    world = build_world(problem)
+    robots, batch = problem.world.robots, 2
+    positions = jnp.moveaxis(jnp.asarray(draw_starts(world.start, new_key(problem.seed), batch, world.config)), 0, -1)
+    each, pairs, whole = (robots, batch), (robots, robots, batch), (batch,)
+    for name, signal in world.objective.signals.items():
+        if signal.is_foreign():
+
+            def measure(signal: Signal = signal) -> tuple[Any, ...]:
+                configuration = Configuration(positions, world.config)
+                return signal(configuration), signal.value(configuration), signal.credit(configuration)
+
+            expected = {"__call__": each, "value": whole, "credit": each}
+            _check(f"signals.{name}", signal, measure, expected)
+    env = build_environment(problem, world)
+    if problem.sensing.is_foreign() and problem.policy.perceives:
+
+        def perceive() -> tuple[Any]:
+            return (problem.sensing.perceived(Configuration(positions, world.config)),)
+
+        _check("sensing", problem.sensing, perceive, {"perceived": pairs}, jnp.bool_)
+    if problem.scheduler.is_foreign():
+
+        def schedule() -> tuple[Any]:
+            return (env.step(env.state(positions), jnp.zeros_like(positions))[0].positions,)
+
+        _check("scheduler", problem.scheduler, schedule, {"activate": (robots, 2, batch)})
+    if problem.shield.is_foreign():
+
+        def shorten() -> tuple[Any]:
+            return (problem.shield(jnp.zeros_like(positions), env.observe(env.state(positions)), problem.world),)
+
+        _check("shield", problem.shield, shorten, {"__call__": (robots, 2, batch)})
+    if problem.policy.is_foreign():
+        _check_policy(problem, env, positions)
+
+
+def _check_policy(problem: Problem, env: World | Wrapper, positions: Float[Array, "robots 2 batch"]) -> None:
+    robots, _, batch = positions.shape
+
+    def act() -> tuple[Any, ...]:
+        policy, value = problem.policy.networks(problem.world, problem.landmark, new_key(problem.seed))
+        observation = env.observe(env.state(positions))
+        velocities = policy(observation)
+        action = policy.distribution(observation).sample(new_key(problem.seed))
+        return velocities, action, policy.distribution(observation).log_prob(action), value(observation)
+
+    actions = (robots if problem.policy.credit == "robots" else 1, batch)
+    velocities = (robots, 2, batch)
+    expected = {"__call__": velocities, "sample": velocities, "log_prob": actions, "the value network": actions}
+    _check("policy", problem.policy, act, expected)
+    policy = policy_templates(problem, 1)[0]
+    for index, name in enumerate(("base", "auxiliary")):
+        if problem.stage(index).ppo.exploration == "scheduled" and not hasattr(policy, "log_std"):
+            raise InputError(f"{name}.ppo.exploration", "scheduled", "learned: the policy network has no log_std")
+
+
+def _check(
+    field: str, part: Strategy, function: Callable[[], tuple[Any, ...]], expected: Mapping[str, tuple], kind: Any = None
+) -> None:
+    """Evaluates a strategy and compares what it returns with the expected shapes and kind of numbers."""
+    kind = jnp.floating if kind is None else kind
+    try:
+        found = eqx.filter_jit(function)()
+    except InputError:
+        raise
+    except Exception as error:  # a user's class may raise anything
+        reason = " ".join(f"{type(error).__name__}: {error}".split())[:300]
+        raise InputError(field, part.name, f"a class that can be evaluated ({reason})") from None
+    for (what, shape), value in zip(expected.items(), found, strict=True):
+        have = f"{getattr(value, 'dtype', type(value).__name__)}{list(getattr(value, 'shape', ()))}"
+        name = "float" if kind is jnp.floating else "bool"
+        wanted = f"a class whose {what} returns {name}{list(shape)} for {shape[-1]} configurations, not {have}"
+        if getattr(value, "shape", None) != shape or not jnp.issubdtype(value.dtype, kind):
+            raise InputError(field, part.name, wanted)
+        if kind is jnp.floating and not np.isfinite(np.asarray(value)).all():
+            raise InputError(field, part.name, f"a class whose {what} returns finite numbers")
+
+
+@eqx.filter_jit
+def _networks(policy: Any, world: WorldConfig, landmark: bool, key: PRNGKeyArray) -> tuple[Any, Any]:
+    return policy.networks(world, landmark, key)

@@ -1,0 +1,61 @@
+"""Training among several swarm sizes: one problem for each size, and whose turn it is at each update."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import cached_property
+
+import numpy as np
+
+from murmurate.discovery.problem import Problem
+
+__all__ = ["Curriculum"]
+
+MAX_WORLDS_RATIO = 1.5
+"""Small swarms train in at most this many times the worlds of the problem: their steps cost something too."""
+
+
+class Curriculum:
+    """The problems that training alternates among: one for each swarm size, or the problem alone.
+
+    Args:
+        problem: The problem.
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        self.problem = problem
+
+    @cached_property
+    def parts(self) -> tuple[Problem, ...]:
+        """The problem for each swarm size, with as many robots to learn from in an update."""
+        problem = self.problem
+        if not problem.sizes:
+            return (problem,)
+        ppo, config, parts = problem.base.ppo, problem.discovery, []
+        for robots in problem.sizes:
+            ratio = min(problem.world.robots / robots, MAX_WORLDS_RATIO)
+            worlds = max(round(ratio * ppo.worlds / ppo.minibatches), 1) * ppo.minibatches
+            part = problem.of_size(robots)
+            base = replace(part.base, ppo=replace(ppo, worlds=worlds))
+            episodes = math.ceil(config.episodes / len(problem.sizes))
+            parts.append(replace(part, base=base, discovery=replace(config, episodes=episodes)))
+        return tuple(parts)
+
+    def turn(self, update: int) -> int:
+        """Returns the place of the part that an update trains: in every round each once, in an order drawn anew."""
+        number, place = divmod(update, len(self.parts))
+        return int(np.random.default_rng((self.problem.seed, number)).permutation(len(self.parts))[place])
+
+    def chunk(self, index: int, update: int) -> int:
+        """Returns how many updates of a policy run next without visiting the host: all are of one part."""
+        if self.problem.sizes:
+            return 1
+        return min(self.problem.discovery.chunk, self.problem.stage(index).ppo.updates - update)
+
+    def steps(self, index: int, updates: int) -> int:
+        """Returns the environment's steps in the first updates of the policy at a place in the list."""
+        per_update = [part.stage(index).steps_per_update for part in self.parts]
+        rounds, rest = divmod(updates, len(per_update))
+        first = rounds * len(per_update)
+        return rounds * sum(per_update) + sum(per_update[self.turn(first + place)] for place in range(rest))

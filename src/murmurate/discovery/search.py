@@ -1,0 +1,183 @@
+"""Algorithm 2: grows the list of policies until patterns are valid."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from murmurate.discovery.build import build_cascade, build_world
+from murmurate.discovery.curriculum import Curriculum
+from murmurate.discovery.problem import Problem
+from murmurate.discovery.stage import Stage, draw_key, policy_name, repeat_to, training_world
+from murmurate.discovery.validity import check_validity
+from murmurate.learning import TrainState, check_divides, hosts, train_together
+from murmurate.world import JitteredStart, SymmetricStart, UniformStart, World, check_start, draw_starts
+
+__all__ = ["Search", "Snapshot", "advance_together"]
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """How far a search has come: all that resuming needs.
+
+    Attributes:
+        policies: The list Pi of finished policies.
+        sigma: The set of configurations that the policy in training starts from, repeated up to a fixed number; empty
+            when every episode of the policy before ended in contact or outside the world.
+        valid: Share of valid patterns after the last finished policy.
+        train: Training of the current policy; None between two policies.
+        finished: Whether the search is over.
+    """
+
+    policies: tuple[Any, ...]
+    sigma: Float[Array, "sigma robots 2"]
+    valid: float
+    train: TrainState | None
+    finished: bool = False
+
+
+class Search:
+    """Algorithm 2, one chunk of updates at a time.
+
+    Everything random derives from the seed and the place in the list, never from what ran before, so a search that is
+    resumed from any snapshot ends in the same weights as an unbroken one.
+
+    Args:
+        problem: What to discover, and how.
+        initial: Policy networks whose weights the policies of the list begin with, as far as there are any; those
+            without begin as their stage has it.
+
+    Raises:
+        InputError: The problem is impossible, as with too many robots for the start.
+    """
+
+    def __init__(self, problem: Problem, initial: Sequence[Any] = ()) -> None:
+        self.problem, self.initial = problem, tuple(initial)
+        self.curriculum = Curriculum(problem)
+        self.world = build_world(problem)
+        for part in self.curriculum.parts:
+            if problem.base.random_share:
+                check_start(UniformStart(), part.world)
+            if problem.base.symmetric_share:
+                check_start(SymmetricStart(), part.world)
+
+    @cached_property
+    def part_worlds(self) -> tuple[World, ...]:
+        """The evaluation world of each swarm size."""
+        if not self.problem.sizes:
+            return (self.world,)
+        return tuple(build_world(part) for part in self.curriculum.parts)
+
+    def check_devices(self) -> None:
+        """Checks that the available devices divide every batch that is trained on.
+
+        Raises:
+            InputError: They do not.
+        """
+        for index in range(min(2, self.problem.discovery.max_policies)):
+            for part in self.curriculum.parts:
+                ppo, name = part.stage(index).ppo, policy_name(index)
+                robots = f" (swarms of {part.world.robots})" if self.problem.sizes else ""
+                check_divides(f"{name}.ppo.worlds{robots}", ppo.worlds)
+                part_of_pass = ppo.worlds * ppo.steps // ppo.minibatches
+                check_divides(f"{name}.ppo.worlds * steps / minibatches{robots}", part_of_pass)
+
+    def begin(self) -> Snapshot:
+        """Returns the snapshot before the first policy: sigma is the problem's start."""
+        return Snapshot(policies=(), sigma=_initial_sigma(self.problem, self.world), valid=0.0, train=None)
+
+    def stage(self, snapshot: Snapshot) -> Stage:
+        """Returns the training of the next policy of the list."""
+        sigmas = self._first_sigmas if self.problem.sizes else (snapshot.sigma,)
+        starts = [world.start for world in self.part_worlds]
+        return Stage(self.curriculum, len(snapshot.policies), starts, sigmas)
+
+    def training(self, snapshot: Snapshot) -> TrainState:
+        """Returns the state of the next policy's training, which may be before its first update."""
+        if snapshot.train is not None:
+            return snapshot.train
+        index, warm_start = len(snapshot.policies), None
+        if index < len(self.initial):
+            warm_start = self.initial[index]
+        elif index and self.problem.stage(index).warm_start:
+            warm_start = snapshot.policies[-1]
+        return self.stage(snapshot).begin(warm_start)
+
+    def advance(self, snapshot: Snapshot) -> tuple[Snapshot, list[dict[str, Any]]]:
+        """Runs one chunk of updates; after a policy's last one, also evaluates the list.
+
+        Returns:
+            The new snapshot, and the metrics of every update of the chunk.
+        """
+        return advance_together([self], [snapshot])[0]
+
+    def validity(self, policies: tuple[Any, ...], index: int) -> float:
+        """Returns the share of fresh episodes from (S_0, epsilon) in which the list forms a valid pattern."""
+        key, valid = draw_key(self.problem, index, "evaluation"), []
+        for part, world in zip(self.curriculum.parts, self.part_worlds, strict=True):
+            starts = draw_starts(world.start, key, part.discovery.episodes, world.config)
+            trajectories = build_cascade(part, policies, world).rollout(starts)
+            valid.append(check_validity(trajectories, part.world, part.thresholds).valid)
+        return float(hosts.agreed(np.concatenate(valid)).mean())
+
+    def conclude(self, snapshot: Snapshot, policy: Any) -> Snapshot:
+        """Appends a trained policy, evaluates from sigma, and decides whether the list is complete."""
+        config, index = self.problem.discovery, len(snapshot.policies)
+        policies = (*snapshot.policies, policy)
+        # Every policy's sigma* comes from running the whole list so far from where the base policy was trained.
+        world = training_world(self.problem, 0, self.world.start, self.begin().sigma)
+        starts = draw_starts(world.start, draw_key(self.problem, index, "sigma"), config.sigma, world.config)
+        trajectories = build_cascade(self.problem, policies, self.world).rollout(starts)
+        final, terminated = hosts.agreed((trajectories.final, trajectories.terminated))
+        alive = final[~terminated]
+        valid = self.validity(policies, index)
+        complete = len(policies) >= config.min_policies and valid >= config.required_valid
+        finished = complete or len(policies) == config.max_policies or len(alive) == 0
+        sigma = repeat_to(alive, config.sigma) if len(alive) else jnp.asarray(alive)
+        return Snapshot(policies=policies, sigma=sigma, valid=valid, train=None, finished=finished)
+
+    @cached_property
+    def _first_sigmas(self) -> tuple[Float[Array, "sigma robots 2"], ...]:
+        # Drawn only when it is trained from; with its numbers even where only shapes are asked for, as they are kept.
+        with jax.ensure_compile_time_eval():
+            return tuple(map(_initial_sigma, self.curriculum.parts, self.part_worlds))
+
+
+def advance_together(
+    searches: Sequence[Search], snapshots: Sequence[Snapshot]
+) -> list[tuple[Snapshot, list[dict[str, Any]]]]:
+    """Runs one chunk of updates of each of many searches, in one program where their shapes agree.
+
+    Args:
+        searches: Of any experiments; what differs in numbers only, such as seeds, weights or discounts, agrees.
+        snapshots: How far each has come; none of them is finished.
+
+    Returns:
+        What `Search.advance` returns, for each. It is the same as alone, but for the order of floating-point sums.
+    """
+    stages = [search.stage(snapshot) for search, snapshot in zip(searches, snapshots, strict=True)]
+    before = [search.training(snapshot) for search, snapshot in zip(searches, snapshots, strict=True)]
+    results = train_together([stage.next_chunk(train) for stage, train in zip(stages, before, strict=True)])
+    advanced = []
+    for search, snapshot, stage, train, result in zip(searches, snapshots, stages, before, results, strict=True):
+        train, rows = stage.after_chunk(train, *result)
+        if stage.is_done(train):
+            advanced.append((search.conclude(snapshot, train.policy), rows))
+        else:
+            advanced.append((replace(snapshot, train=train), rows))
+    return advanced
+
+
+def _initial_sigma(problem: Problem, world: World) -> Float[Array, "sigma robots 2"]:
+    start, size = world.start, problem.discovery.sigma
+    if isinstance(start, JitteredStart):
+        # Each configuration of a file as often as every other, and none left out.
+        return repeat_to(np.asarray(start.points), -(-size // len(start.points)) * len(start.points))
+    return jnp.asarray(draw_starts(start, draw_key(problem, 0, "initial"), size, world.config))

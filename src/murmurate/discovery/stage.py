@@ -1,0 +1,175 @@
+"""Algorithm 1: the training of one policy of the list, from a set of initial configurations."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from murmurate.discovery.build import build_environment, build_networks
+from murmurate.discovery.curriculum import Curriculum
+from murmurate.discovery.problem import Problem
+from murmurate.learning import Chunk, Hyperparameters, Shape, TrainState, init
+from murmurate.world import (
+    ActionRepeat,
+    JitteredStart,
+    MixtureStart,
+    Start,
+    SymmetricStart,
+    UniformStart,
+    World,
+    Wrapper,
+    new_key,
+    with_array_leaves,
+)
+
+__all__ = ["Stage", "draw_key", "policy_name", "training_world"]
+
+PURPOSES = ("networks", "training", "sigma", "evaluation", "worlds", "initial")
+"""What random numbers are drawn for: each purpose has a key of its own."""
+
+
+def policy_name(index: int) -> str:
+    """Returns what a policy is called by its place in the list."""
+    return "base" if index == 0 else "auxiliary"
+
+
+def draw_key(problem: Problem, index: int, purpose: str) -> PRNGKeyArray:
+    """Returns the key for one purpose at a place in the list: it depends on nothing that ran before."""
+    return jax.random.fold_in(jax.random.fold_in(new_key(problem.seed), index), PURPOSES.index(purpose))
+
+
+def training_world(problem: Problem, index: int, start: Start, sigma: Float[Array, "sigma robots 2"]) -> World:
+    """Builds the world that a policy trains in.
+
+    Base and auxiliary policies differ in numbers only where the start jitters given configurations, so one compilation
+    serves both.
+
+    Args:
+        problem: The problem.
+        index: Place of the policy in the list.
+        start: The problem's start, prepared.
+        sigma: The configurations that episodes begin from: of the start, or where the policies before came to rest.
+    """
+    stage, is_base = problem.stage(index), index == 0
+    factor = 1 + stage.margin
+    config = replace(
+        problem.world, radius=factor * problem.world.radius, safe_distance=factor * problem.world.safe_distance
+    )
+    if isinstance(start, JitteredStart):
+        first: Start = JitteredStart(sigma, start.noise if is_base else stage.noise)
+    else:
+        # The base policy begins at fresh configurations every time, not at those that were drawn once.
+        first = start if is_base else JitteredStart(sigma, stage.noise)
+    random_share = stage.random_share if is_base else 0.0
+    start = MixtureStart(first, UniformStart(stage.random_spread), random_share)
+    if problem.base.symmetric_share:
+        start = MixtureStart(start, SymmetricStart(), stage.symmetric_share if is_base else 0.0)
+    per_robot = problem.policy.credit == "robots"
+    horizon: Any = jnp.asarray(stage.horizon, jnp.int32)
+    signals, weights = problem.objective_signals, problem.weights(index)
+    return with_array_leaves(World.create(config, start, signals, weights, horizon, per_robot))
+
+
+class Stage:
+    """The training of one policy: of one swarm size, or of several in turns.
+
+    Args:
+        curriculum: The problems that it alternates among.
+        index: Place of the policy in the list.
+        starts: The prepared start of each problem.
+        sigmas: The set of initial configurations of each problem.
+    """
+
+    def __init__(
+        self,
+        curriculum: Curriculum,
+        index: int,
+        starts: Sequence[Start],
+        sigmas: Sequence[Float[Array, "sigma robots 2"]],
+    ) -> None:
+        self.curriculum, self.index = curriculum, index
+        self.config = curriculum.problem.stage(index)
+        self._starts, self._sigmas = starts, sigmas
+
+    def environment(self, place: int) -> Wrapper:
+        """Returns what the policy is trained in: the problem's environment, with every action kept up."""
+        part = self.curriculum.parts[place]
+        world = training_world(part, self.index, self._starts[place], self._sigmas[place])
+        # Robots perceive the world as it is: the margin is in the reward and in what counts as contact alone.
+        perceived = with_array_leaves(part.world)
+        return ActionRepeat(build_environment(part, world, perceived), jnp.asarray(self.config.repeat, jnp.int32))
+
+    def begin(self, warm_start: Any | None = None) -> TrainState:
+        """Returns the state of the training before its first update.
+
+        Args:
+            warm_start: A policy network whose weights to begin with.
+        """
+        problem = self.curriculum.problem
+        policy, value = build_networks(problem, draw_key(problem, self.index, "networks"))
+        policy = policy if warm_start is None else warm_start
+        if hasattr(policy, "log_std"):
+            spread = jnp.full_like(policy.log_std, self.config.ppo.log_std)
+            policy = eqx.tree_at(lambda p: p.log_std, policy, spread)
+        states = tuple(self._worlds(place) for place in range(len(self.curriculum.parts)))
+        return init(policy, value, states, draw_key(problem, self.index, "training"))
+
+    def next_chunk(self, train: TrainState) -> Chunk:
+        """Returns the updates to run next."""
+        update = int(train.update)
+        place = self.curriculum.turn(update)
+        ppo = self.curriculum.parts[place].stage(self.index).ppo
+        train = eqx.tree_at(lambda t: t.env_state, train, train.env_state[place])
+        updates = self.curriculum.chunk(self.index, update)
+        return Chunk(train, self.environment(place), Hyperparameters.create(ppo), Shape.create(ppo), updates)
+
+    def after_chunk(
+        self, before: TrainState, trained: TrainState, metrics: dict[str, Any]
+    ) -> tuple[TrainState, list[dict[str, Any]]]:
+        """Returns the state of the training after a chunk of updates, and a row of metrics for each update."""
+        place, done = self.curriculum.turn(int(before.update)), int(trained.update)
+        states = (*before.env_state[:place], trained.env_state, *before.env_state[place + 1 :])
+        trained = eqx.tree_at(lambda t: t.env_state, trained, states)
+        metrics = jax.device_get(metrics)
+        count, robots = len(metrics["reward"]), self.curriculum.parts[place].world.robots
+        rows = []
+        for number in range(count):
+            update = done - count + number + 1
+            values = jax.tree.map(lambda x, number=number: float(x[number]), metrics)
+            row = {"policy": self.index, "name": policy_name(self.index), "update": update, **values}
+            row["policy_steps"] = self.curriculum.steps(self.index, update)
+            rows.append({**row, "robots": robots})
+        return trained, rows
+
+    def is_done(self, train: TrainState) -> bool:
+        """Returns whether the last update has been run."""
+        return int(train.update) >= self.config.ppo.updates
+
+    def _worlds(self, place: int) -> Any:
+        """Begins the parallel episodes that the policy is trained in."""
+        part = self.curriculum.parts[place]
+        stage = part.stage(self.index)
+        worlds, clock = jax.random.split(draw_key(part, self.index, "worlds"))
+        state = _reset(self.environment(place), worlds, stage.ppo.worlds)
+        # Episodes that all began together would all end together, and every batch would hold one age only.
+        step = state.unwrapped.step
+        ages = jax.random.randint(clock, step.shape, 0, stage.horizon, step.dtype)
+        return eqx.tree_at(lambda s: s.unwrapped.step, state, ages)
+
+
+# Outside of a jit, the loop that redraws overlaps would be compiled anew at every call.
+@eqx.filter_jit
+def _reset(env: Any, key: PRNGKeyArray, batch: int) -> Any:
+    return env.reset_batch(key, batch)
+
+
+def repeat_to(configurations: np.ndarray, size: int) -> Float[Array, "size robots 2"]:
+    """Returns `size` configurations: the given ones in turns."""
+    return jnp.asarray(configurations[np.arange(size) % len(configurations)], jnp.float32)

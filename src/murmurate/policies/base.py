@@ -1,0 +1,129 @@
+"""What every policy is made of: the strategy that a configuration chooses, and the action distribution of its network.
+
+Networks map `(robots, 2, *batch)` positions, or an `Observation` of what robots perceive, to velocities `(robots, 2,
+*batch)`; value networks map them to values `(actions, *batch)`: one per robot, or one for the swarm. The batch is LAST.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from typing import Any, ClassVar, Literal, get_args
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from murmurate.errors import MOST, InputError, check_choice, check_number
+from murmurate.registry import Strategy
+from murmurate.world.config import WorldConfig
+
+__all__ = ["Credit", "Gaussian", "Policy", "PolicyNetwork", "check_hidden"]
+
+Credit = Literal["robots", "swarm"]
+
+
+class Policy(Strategy):
+    """Which networks are trained, and how large they are.
+
+    A subclass implements `networks`. Its class attributes say what the network acts on:
+
+    - `perceives`: robots act on an `Observation`, each on its own view alone, instead of on all positions.
+    - `any_size`: the same weights act in swarms of any size.
+
+    Attributes:
+        credit: Which reward an action learns from: every robot's velocity from the change of its own potential
+            (robots), or the swarm's velocities as one action from the reward (swarm, the paper's).
+    """
+
+    section: ClassVar[str] = "policy"
+    perceives: ClassVar[bool] = False
+    any_size: ClassVar[bool] = True
+
+    credit: Credit = eqx.field(default="robots", static=True, kw_only=True)
+
+    def __check_init__(self) -> None:
+        check_choice("credit", self.credit, get_args(Credit))
+
+    @abstractmethod
+    def networks(self, world: WorldConfig, landmark: bool, key: PRNGKeyArray) -> tuple[Any, Any]:
+        """Builds a policy network and its value network, two separate networks as in the paper's Algorithm 1.
+
+        Args:
+            world: Sizes of the world and its robots, to scale inputs and outputs.
+            landmark: Whether the gathering point is known.
+            key: Randomness of the initial weights.
+
+        Returns:
+            A `PolicyNetwork` (or a PyTree with `__call__` and `distribution`), and a value network.
+        """
+
+
+class PolicyNetwork(eqx.Module):
+    """Base of policy networks: normal velocities around the most likely ones.
+
+    A subclass implements `__call__`. Its `log_std` is trained, or scheduled by the configuration.
+
+    Attributes:
+        log_std: Natural logarithm of the spread of the velocities, in units of the speed limit: one number, or one for
+            each component.
+        world: Sizes of the world and its robots.
+    """
+
+    log_std: eqx.AbstractVar[Float[Array, "..."]]
+    world: eqx.AbstractVar[WorldConfig]
+
+    @abstractmethod
+    def __call__(self, observation: Any) -> Float[Array, "robots 2 *batch"]:
+        """Returns the most likely velocities, world units per step."""
+
+    def distribution(self, observation: Any) -> Gaussian:
+        """Returns normal velocities around the most likely ones."""
+        mean = self(observation)
+        log_std = self.log_std
+        if log_std.ndim:
+            log_std = log_std.reshape(log_std.shape + (1,) * (mean.ndim - log_std.ndim))
+        return Gaussian(mean, log_std + math.log(self.world.max_speed), joint=self.is_joint)
+
+    @property
+    def is_joint(self) -> bool:
+        """Whether the swarm's velocities are ONE action instead of one for each robot."""
+        return False
+
+
+class Gaussian(eqx.Module):
+    """Independent normal velocities of all robots; the batch is last.
+
+    Attributes:
+        mean: The most likely velocities.
+        log_std: Logarithm of their spread: one number, or one for each component.
+        joint: Whether the swarm's velocities are ONE action. Otherwise every robot's is an action of its own, with a
+            log density, and so a probability ratio, of its own.
+    """
+
+    mean: Float[Array, "robots 2 *batch"]
+    log_std: Float[Array, "..."]
+    joint: bool = eqx.field(static=True)
+
+    def sample(self, key: PRNGKeyArray) -> Float[Array, "robots 2 *batch"]:
+        """Draws velocities."""
+        return self.mean + jnp.exp(self.log_std) * jax.random.normal(key, self.mean.shape, self.mean.dtype)
+
+    def log_prob(self, action: Float[Array, "robots 2 *batch"]) -> Float[Array, "actions *batch"]:
+        """Returns the log density of every action: one (`joint`), or one for each robot."""
+        z = (action - self.mean) * jnp.exp(-self.log_std)
+        density = -0.5 * z * z - self.log_std - 0.5 * math.log(2 * math.pi)
+        return jnp.sum(density, axis=(0, 1))[None] if self.joint else jnp.sum(density, axis=1)
+
+
+def check_hidden(hidden: tuple[int, ...], most: int | None = None) -> None:
+    """Checks the widths of hidden layers.
+
+    Raises:
+        InputError: There are none or too many, or one is not positive.
+    """
+    for width in hidden:
+        check_number("hidden", width, 1, MOST, integer=True)
+    if not hidden or (most is not None and len(hidden) > most):
+        raise InputError("hidden", hidden, "one or more integers >= 1" if most is None else "one or two integers >= 1")

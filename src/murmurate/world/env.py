@@ -1,0 +1,447 @@
+"""The paper's Markov decision process of a swarm of fat, opaque robots, and the wrappers around it.
+
+States and actions of the world take the batch LAST: `(robots, 2, *batch)`. There is no reset inside a step: a
+terminated or truncated episode is the caller's to end (see `learning.step_with_autoreset`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, UInt32
+
+from murmurate.geometry import outside, touches
+from murmurate.types import Observation, Transition, View
+from murmurate.world.config import WorldConfig
+from murmurate.world.randomness import draw_each, episode_keys, key_data, next_keys, wrap_keys
+from murmurate.world.scheduling import Activation, Clock, Scheduler
+from murmurate.world.sensing import Frames, Sensing
+from murmurate.world.signals import Configuration, Objective, Signal, objective_signals
+from murmurate.world.starts import Start
+
+__all__ = [
+    "ActionRepeat",
+    "LocalObservation",
+    "ObservedState",
+    "ScheduledState",
+    "SchedulerWrapper",
+    "State",
+    "World",
+    "WrappedState",
+    "Wrapper",
+    "with_array_leaves",
+]
+
+
+class State(eqx.Module):
+    """The state of the world.
+
+    Attributes:
+        positions: Centres, world units.
+        step: Steps since the episode began.
+        objective: The objective C of this configuration.
+        potential: The reward of each action is the change of this: C itself, or each robot's potential.
+    """
+
+    positions: Float[Array, "robots 2 *batch"]
+    step: Int[Array, "*batch"]
+    objective: Float[Array, "*batch"]
+    potential: Float[Array, "actions *batch"]
+
+    @property
+    def epochs(self) -> Int[Array, "*batch"]:
+        """Epochs so far: without a scheduler every robot completes a cycle at every step."""
+        return self.step
+
+    @property
+    def unwrapped(self) -> State:
+        """The state of the world: this one."""
+        return self
+
+
+class World(eqx.Module):
+    """A rectangle with N robots: the state is their positions, the action their velocities.
+
+    Methods take one configuration or a batch of them on the LAST axis. Numbers are leaves of the PyTree: changing one
+    does not recompile what was compiled for another.
+
+    Attributes:
+        config: Sizes of the world and its robots.
+        objective: The signals and their weights.
+        start: Where episodes begin.
+        horizon: Steps after which an episode is truncated.
+        per_robot_credit: Whether each robot's action learns from its own potential, instead of all from C.
+    """
+
+    config: WorldConfig
+    objective: Objective
+    start: Start
+    horizon: Any
+    per_robot_credit: bool = eqx.field(static=True)
+
+    @classmethod
+    def create(
+        cls,
+        config: WorldConfig,
+        start: Start,
+        objective: str | Mapping[str, Signal] = "C1",
+        weights: Mapping[str, float] | None = None,
+        horizon: int = 400,
+        per_robot_credit: bool = False,
+    ) -> World:
+        """Builds a world.
+
+        Args:
+            config: Its sizes.
+            start: Where episodes begin; it is prepared here.
+            objective: C1 (gathering at the origin), C2 (at no predefined point), or signals by name.
+            weights: Weights that replace the signals' own.
+            horizon: Steps after which an episode is truncated.
+            per_robot_credit: Whether credit is given robot by robot.
+
+        Raises:
+            InputError: There is no such objective or signal, or the start is not possible.
+        """
+        signals = objective_signals(objective) if isinstance(objective, str) else objective
+        return cls(config, Objective(signals, weights), start.prepare(config), horizon, per_robot_credit)
+
+    def signals(self, positions: Float[Array, "robots 2 *batch"]) -> dict[str, Float[Array, "*batch"]]:
+        """Returns the signals of configurations by name."""
+        return self.objective.measure(Configuration(positions, self.config))
+
+    def state(self, positions: Float[Array, "robots 2 *batch"], seed: Any = 0) -> State:
+        """Returns the state at the beginning of an episode from the given configurations.
+
+        Args:
+            positions: The configurations.
+            seed: Not used: the world draws nothing. Wrappers may.
+        """
+        del seed
+        configuration = Configuration(positions, self.config)
+        objective = self.objective(self.objective.measure(configuration))
+        step = jnp.zeros(positions.shape[2:], jnp.int32)
+        return State(positions, step, objective, self._potential(configuration, objective))
+
+    def reset_batch(self, key: PRNGKeyArray, batch: int) -> State:
+        """Begins a batch of episodes, each at a fresh start of its own."""
+        return self.state(jnp.moveaxis(self.start.sample(key, batch, self.config), 0, -1))
+
+    def step(self, state: State, velocities: Float[Array, "robots 2 *batch"]) -> tuple[State, Transition]:
+        """Moves every robot for one step; velocities are clipped to the speed limit component by component."""
+        config = self.config
+        velocities = jnp.clip(velocities, -config.max_speed, config.max_speed)
+        positions = state.positions + velocities
+        configuration = Configuration(positions, config)
+        signals = self.objective.measure(configuration)
+        objective = self.objective(signals)
+        potential = self._potential(configuration, objective)
+        in_contact = touches(state.positions, velocities, config.radius)
+        failed = in_contact | outside(positions, config.half_width, config.half_height)
+        terminated = jnp.any(failed, axis=0)
+        penalised = failed if self.per_robot_credit else terminated[None]
+        credit = jnp.where(terminated, -config.collision_penalty * penalised, potential - state.potential)
+        reward = jnp.where(terminated, -config.collision_penalty, objective - state.objective)
+        step = state.step + 1
+        truncated = (step >= self.horizon) & ~terminated
+        after = State(positions, step, objective, potential)
+        return after, Transition(reward, terminated, truncated, signals, credit)
+
+    def observe(self, state: State) -> Any:
+        """Returns the positions: the paper's policy sees all of them."""
+        return state.positions
+
+    def _potential(self, configuration: Configuration, objective: Any) -> Float[Array, "actions *batch"]:
+        return self.objective.credit(configuration) if self.per_robot_credit else objective[None]
+
+
+class WrappedState(eqx.Module):
+    """A state of a wrapper, around the state of what it wraps."""
+
+    inner: Any
+
+    @property
+    def unwrapped(self) -> State:
+        """The state of the world."""
+        return self.inner.unwrapped
+
+    @property
+    def positions(self) -> Float[Array, "robots 2 *batch"]:
+        """Centres, world units."""
+        return self.inner.positions
+
+    @property
+    def objective(self) -> Float[Array, "*batch"]:
+        """The objective C of this configuration."""
+        return self.inner.objective
+
+    @property
+    def epochs(self) -> Int[Array, "*batch"]:
+        """Epochs so far."""
+        return self.inner.epochs
+
+
+class Wrapper(eqx.Module):
+    """Base of all wrappers: forwards everything to the wrapped environment.
+
+    Attributes:
+        env: The world, or a wrapper around it.
+    """
+
+    env: Any
+
+    @property
+    def unwrapped(self) -> World:
+        """The world inside all wrappers."""
+        return self.env if isinstance(self.env, World) else self.env.unwrapped
+
+    @property
+    def config(self) -> WorldConfig:
+        """Sizes of the world and its robots."""
+        return self.env.config
+
+    @property
+    def start(self) -> Start:
+        """Where episodes begin."""
+        return self.env.start
+
+    def signals(self, positions: Float[Array, "robots 2 *batch"]) -> dict[str, Float[Array, "*batch"]]:
+        """Returns the signals of configurations by name."""
+        return self.env.signals(positions)
+
+    def reset_batch(self, key: PRNGKeyArray, batch: int) -> Any:
+        """Begins a batch of episodes, each at a fresh start."""
+        return self.env.reset_batch(key, batch)
+
+    def state(self, positions: Float[Array, "robots 2 *batch"], seed: Any = 0) -> Any:
+        """Returns the state at the beginning of an episode from the given configurations.
+
+        Args:
+            positions: The configurations.
+            seed: Seed of the robots' frames, of noise and of the scheduler.
+        """
+        return self.env.state(positions, seed)
+
+    def observe(self, state: Any) -> Any:
+        """Returns what policy and value networks are given."""
+        return self.env.observe(state)
+
+    def step(self, state: Any, action: Any) -> tuple[Any, Any]:
+        """Advances every episode by one step."""
+        return self.env.step(state, action)
+
+
+class ActionRepeat(Wrapper):
+    """Keeps up every action for some steps, unless the episode ends before.
+
+    Decisions are then fewer and reach farther: noise that is kept up moves robots, where noise that is drawn anew at
+    every step only jitters them. Rewards and credits add up.
+
+    Attributes:
+        times: Steps for which each action is kept up.
+    """
+
+    times: Any
+
+    def step(self, state: Any, action: Any) -> tuple[Any, Any]:
+        """Advances every episode by up to `times` steps."""
+        first = self.env.step(state, action)
+
+        def repeat(_: Any, carry: tuple[Any, Any]) -> tuple[Any, Any]:
+            before, total = carry
+            after, transition = self.env.step(before, action)
+            summed = (total.reward + transition.reward, total.credit + transition.credit)
+            transition = eqx.tree_at(lambda t: (t.reward, t.credit), transition, summed)
+            done = total.terminated | total.truncated
+            return jax.tree.map(lambda old, new: jnp.where(done, old, new), carry, (after, transition))
+
+        return jax.lax.fori_loop(1, self.times, repeat, first)
+
+
+class ObservedState(WrappedState):
+    """A state together with how each robot looks at it.
+
+    Attributes:
+        frames: Every robot's system of coordinates.
+        key: Randomness of what is perceived next.
+    """
+
+    frames: Frames
+    key: UInt32[Array, "two *batch"]
+
+
+class LocalObservation(Wrapper):
+    """Robots that act on what they perceive: each from its own view, with a velocity in its own frame.
+
+    Robots know their own size, so a velocity needs no unit of length: only its direction is in the robot's own frame.
+
+    Attributes:
+        sensing: What is perceived, in which frames.
+        world: The sizes by which it is perceived: in training with a margin, robots perceive the world as it is.
+    """
+
+    sensing: Sensing
+    world: WorldConfig
+
+    def reset_batch(self, key: PRNGKeyArray, batch: int) -> ObservedState:
+        """Begins a batch of episodes, each at a fresh start and with fresh frames."""
+        start, frames = jax.random.split(key)
+        return self._observed(self.env.reset_batch(start, batch), jax.random.split(frames, batch))
+
+    def state(self, positions: Float[Array, "robots 2 *batch"], seed: Any = 0) -> ObservedState:
+        """Returns the state at the beginning of an episode from the given configurations."""
+        return self._observed(self.env.state(positions, seed), episode_keys(seed, positions))
+
+    def observe(self, state: ObservedState) -> Observation:
+        """Returns what every robot perceives, and what the value network may know."""
+        x, y = state.positions[:, 0], state.positions[:, 1]
+        distance = jnp.minimum(self.world.half_width - abs(x), self.world.half_height - abs(y))
+        return Observation(self.view(state), state.positions, jnp.maximum(distance, 0.0))
+
+    def view(self, state: ObservedState) -> View:
+        """Returns what every robot perceives."""
+        return self.sensing.view(state.positions, state.frames, wrap_keys(state.key), self.world)
+
+    def step(self, state: ObservedState, action: Float[Array, "robots 2 *batch"]) -> tuple[ObservedState, Transition]:
+        """Moves every robot by its own velocity."""
+        after, transition = self.env.step(state.inner, state.frames.to_world(action))
+        keys = next_keys(wrap_keys(state.key))
+        if self.sensing.resample_frames:
+            return self._observed(after, keys), transition
+        return ObservedState(after, state.frames, key_data(keys)), transition
+
+    def _observed(self, inner: Any, keys: PRNGKeyArray) -> ObservedState:
+        frames = self.sensing.draw_frames(keys, inner.positions.shape[0], inner.positions.dtype)
+        return ObservedState(inner, frames, key_data(next_keys(keys)))
+
+
+class ScheduledState(WrappedState):
+    """A state together with where each robot is in its Look-Compute-Move cycle.
+
+    Attributes:
+        pause: Steps that a robot rests before it looks.
+        delay: Steps from its look to its move.
+        steps_to_go: Steps that its move still takes.
+        committed_velocity: Velocity of its move, world units per step.
+        remaining_distance: How far the move may still go, world units.
+        idle: Steps since it was last active.
+        completed: Which robots have completed a cycle in this epoch.
+        completed_epochs: Epochs so far: in each, every robot completed at least one cycle.
+        key: Randomness of what comes next.
+    """
+
+    pause: Int[Array, "robots *batch"]
+    delay: Int[Array, "robots *batch"]
+    steps_to_go: Int[Array, "robots *batch"]
+    committed_velocity: Float[Array, "robots 2 *batch"]
+    remaining_distance: Float[Array, "robots *batch"]
+    idle: Int[Array, "robots *batch"]
+    completed: Bool[Array, "robots *batch"]
+    completed_epochs: Int[Array, "*batch"]
+    key: UInt32[Array, "two *batch"]
+
+    @property
+    def epochs(self) -> Int[Array, "*batch"]:
+        """Epochs so far."""
+        return self.completed_epochs
+
+
+class SchedulerWrapper(Wrapper):
+    """Robots that look and move when a scheduler lets them.
+
+    Attributes:
+        scheduler: The scheduler.
+    """
+
+    scheduler: Scheduler
+
+    def reset_batch(self, key: PRNGKeyArray, batch: int) -> ScheduledState:
+        """Begins a batch of episodes, each at a fresh start, every robot somewhere in its cycle."""
+        start, clocks = jax.random.split(key)
+        return self._scheduled(self.env.reset_batch(start, batch), jax.random.split(clocks, batch))
+
+    def state(self, positions: Float[Array, "robots 2 *batch"], seed: Any = 0) -> ScheduledState:
+        """Returns the state at the beginning of an episode from the given configurations."""
+        # Other numbers than those of the frames, which are drawn from the same seed.
+        return self._scheduled(self.env.state(positions, seed), next_keys(episode_keys(seed, positions), 2))
+
+    def step(self, state: ScheduledState, action: Float[Array, "robots 2 *batch"]) -> tuple[ScheduledState, Transition]:
+        """Moves the robots whose move is under way."""
+        keys, candidates = wrap_keys(state.key), self.scheduler.candidates
+        clock = Clock(state.unwrapped.step, state.idle, state.positions)
+        if candidates == 1:
+            after, transition = self._moved(state, action, draw_each(self.scheduler.activate, keys, clock))
+        else:
+            outcomes = [
+                self._moved(state, action, draw_each(self.scheduler.activate, next_keys(keys, number), clock))
+                for number in range(2, 2 + candidates)
+            ]
+            # The worst has the least reward; an episode that terminates has the least of all.
+            after, transition = outcomes[0]
+            for outcome in outcomes[1:]:
+                worse = outcome[1].reward < transition.reward
+                after, transition = jax.tree.map(
+                    lambda new, old, worse=worse: jnp.where(worse, new, old), outcome, (after, transition)
+                )
+        return eqx.tree_at(lambda s: s.key, after, key_data(next_keys(keys))), transition
+
+    def _scheduled(self, inner: Any, keys: PRNGKeyArray) -> ScheduledState:
+        positions = inner.positions
+        zero = jnp.zeros((positions.shape[0], *positions.shape[2:]), jnp.int32)
+        clock = Clock(inner.unwrapped.step, zero, positions)
+        first: Activation = draw_each(self.scheduler.activate, keys, clock)
+        return ScheduledState(
+            inner=inner,
+            pause=first.pause,
+            delay=zero,
+            steps_to_go=zero,
+            committed_velocity=jnp.zeros_like(positions),
+            remaining_distance=jnp.zeros_like(first.completion),
+            idle=zero,
+            completed=jnp.zeros_like(first.active),
+            completed_epochs=jnp.zeros_like(zero[0]),
+            key=key_data(next_keys(keys)),
+        )
+
+    def _moved(
+        self, state: ScheduledState, velocities: Array, activation: Activation
+    ) -> tuple[ScheduledState, Transition]:
+        scheduler, limit = self.scheduler, self.config.max_speed
+        # Look and compute: a robot that is ready and active commits itself to the velocity of what it sees now.
+        ready = state.pause + state.delay + state.steps_to_go == 0
+        looks = ready & (activation.active | (state.idle >= scheduler.fairness_bound - 1))
+        committed = jnp.where(looks[:, None], jnp.clip(velocities, -limit, limit), state.committed_velocity)
+        delay = jnp.where(looks, activation.delay, state.delay)
+        steps_to_go = jnp.where(looks, activation.move_steps, state.steps_to_go)
+        speed = jnp.sqrt(jnp.sum(committed**2, axis=1))
+        whole = speed * steps_to_go
+        least = jnp.minimum(scheduler.min_move, whole)
+        remaining = jnp.where(looks, least + activation.completion * (whole - least), state.remaining_distance)
+        # Move. A rigid move is not shortened, so that no rounding shortens its last step.
+        moves = (state.pause == 0) & (delay == 0) & (steps_to_go > 0)
+        distance = speed if scheduler.rigid else jnp.minimum(speed, remaining)
+        share = jnp.where(moves & (speed > 0), distance / jnp.where(speed > 0, speed, 1), 0)
+        after, transition = self.env.step(state.inner, committed * share[:, None])
+        ends = moves & (steps_to_go == 1)
+        completed = state.completed | ends
+        epoch = jnp.all(completed, axis=0)
+        return ScheduledState(
+            inner=after,
+            pause=jnp.where(ends, activation.pause, jnp.maximum(state.pause - 1, 0)),
+            delay=jnp.maximum(delay - 1, 0),
+            steps_to_go=steps_to_go - moves,
+            committed_velocity=committed,
+            remaining_distance=remaining - share * speed,
+            idle=jnp.where(ready & ~looks, state.idle + 1, 0),
+            completed=completed & ~epoch,
+            completed_epochs=state.completed_epochs + epoch,
+            key=state.key,
+        ), transition
+
+
+def with_array_leaves(tree: Any) -> Any:
+    """Turns the Python floats of a PyTree into arrays, so that changing one does not recompile what uses it."""
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32) if isinstance(leaf, float) else leaf, tree)
