@@ -44,7 +44,6 @@ from murmurate.plots.style import (
 )
 from murmurate.plots.swarm import draw_robots, draw_sight_key, draw_world, show_window
 from murmurate.runs import presets
-from murmurate.world.signals import signals
 
 FOLDER = Path(__file__).parent / "figures" / "world"
 DPI = 150  # legible at the width of a page, and small
@@ -129,16 +128,14 @@ def signals_figure() -> Figure:
     angles = 2 * np.pi * np.arange(sizes.robots) / sizes.robots
     ring = np.stack([np.sin(angles), np.cos(angles)], axis=1)
     radii = np.linspace(3.5, 14, 600)
-    fixed = {name: getattr(sizes, name) for name in _MEASURED}
-    curves = {}
-    for gathering in ("close", "nclose"):
-        curves |= signals(ring[:, :, None] * radii, gathering=gathering, **fixed)
+    order = ("close", "nclose", "safety", "neighbors", "visible")
+    configuration = world.Configuration(ring[:, :, None] * radii, sizes)
+    curves = {name: world.Signal.registered()[name]().value(configuration) for name in order}
     figure = new_page(6.0)
     draw_head(figure, "Signals", "ten robots on a regular ring, sizes of experiment C")
     ax = add_axes(figure, 0.75, 3.28, 7.3, 2.0)
     style_axes(ax, "", "radius of the ring", "signal", pad=0)
     styles = ("-", (0, (5, 1.5)), (0, (1, 1.2)), (0, (6, 1.5, 1, 1.5)), (0, (3, 1)))
-    order = ("close", "nclose", "safety", "neighbors", "visible")
     for place, name in enumerate(order):
         ax.plot(radii, curves[name], color=policy_color(place), linestyle=styles[place], linewidth=1.9, label=name)
     good = radii[(np.stack([curves[name] for name in order[2:]]) > 1 - 1e-9).all(axis=0)]
@@ -164,18 +161,17 @@ def starts_figure() -> Figure:
     figure = new_page(5.85)
     draw_head(figure, "Starts", "ten robots, the whole world; below, exactly symmetric starts")
     for place, kind in enumerate(kinds):
-        start = world.make_start(world.StartConfig(kind=kind), sizes)
-        _world_panel(figure, place, 2.9, world.draw_starts(start, jax.random.key(3), 1)[0], kind, sizes)
+        start = world.Start.registered()[kind]()
+        _world_panel(figure, place, 2.9, _draw_start(start, sizes), kind, sizes)
     for place, name in enumerate(("polygon", "line", "grid", "rings")):
-        points = world.symmetric_starts(name, sizes, 1, 0)[0]
-        _world_panel(figure, place, 0.2, points, name, sizes)
+        _world_panel(figure, place, 0.2, _draw_start(world.SymmetricStart(family=name), sizes), name, sizes)
     return figure
 
 
 def bound_figure() -> Figure:
     """Draws the paths from a start to a pattern, for numbered robots and for interchangeable ones."""
     sizes = presets.preset("C").world
-    start = world.draw_starts(world.make_start(world.StartConfig(kind="distributed"), sizes), jax.random.key(3), 1)[0]
+    start = _draw_start(world.DistributedStart(), sizes)
     angles = 2 * np.pi * (np.arange(sizes.robots) + 0.5) / sizes.robots
     final = 8.7 * np.stack([np.sin(angles), np.cos(angles)], axis=1)
     cost = np.abs(start[:, None] - final[None]).max(axis=2)
@@ -205,7 +201,10 @@ FIGURES = {
     "starts": starts_figure,
     "bound": bound_figure,
 }
-_MEASURED = ("half_width", "half_height", "radius", "scan_radius", "safe_distance")
+
+
+def _draw_start(start: world.Start, sizes: world.WorldConfig) -> np.ndarray:
+    return world.draw_starts(start.prepare(sizes), jax.random.key(3), 1, sizes)[0]
 
 
 def _lacks(positions: np.ndarray, sizes: world.WorldConfig) -> str:

@@ -4,6 +4,7 @@ import shutil
 
 import pytest
 
+from murmurate import plots
 from murmurate.cli.main import main
 from murmurate.report import plan as planning
 from murmurate.report.plan import Plan, PlannedRun
@@ -37,7 +38,7 @@ def work(tmp_path, monkeypatch):
 
     monkeypatch.setattr(planning, "make_plan", make_plan)
     for name in ("robot", "visibility", "training", "reward", "formation", "patterns", "growth"):
-        monkeypatch.setattr(view, f"{name}_figure", lambda *_: Figure(figsize=(0.2, 0.1)))
+        monkeypatch.setattr(plots, f"{name}_figure", lambda *_: Figure(figsize=(0.2, 0.1)))
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -90,12 +91,12 @@ def test_an_interrupted_command_goes_on(work, trained, capsys, monkeypatch):
         left[0] -= 1
         return advance(*args)
 
-    monkeypatch.setattr(training, "advance_together", interrupted)
+    monkeypatch.setattr(train, "advance_together", interrupted)
     assert main(["reproduce"]) == 130
     out, err = capsys.readouterr()
     assert out == "2 runs in runs: 0 finished, 0 to go on with, 2 to train\n"
     assert err == "murmurate: interrupted; the same command goes on: murmurate reproduce\n"
-    monkeypatch.setattr(training, "advance_together", advance)
+    monkeypatch.setattr(train, "advance_together", advance)
     assert main(["reproduce"]) == 0
     assert "2 runs in runs: 0 finished, 1 to go on with, 1 to train\n" in capsys.readouterr().out
     for name in NAMES:
@@ -116,7 +117,7 @@ def test_an_interrupted_command_goes_on(work, trained, capsys, monkeypatch):
     ],
 )
 def test_refused_before_anything_is_trained(work, capsys, monkeypatch, words, line):
-    monkeypatch.setattr(training, "advance_together", None)
+    monkeypatch.setattr(train, "advance_together", None)
     for path in ("mine", "bad/tiny-equivariant-seed1"):
         (work / path).mkdir(parents=True)
         (work / path / "notes.txt").write_text("mine")

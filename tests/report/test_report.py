@@ -131,7 +131,7 @@ def test_failures_are_listed_run_by_run(report, results):
     _, markdown = texts(report)
     for result in results:
         run = measure(result)
-        cells = f"| `{run.run}` | {run.valid} of 200 | {run.lacking['collision_free']} |"
+        cells = f"| `{run.run}` | {run.valid} of 200 | {run.lacking['contact_free']} |"
         assert (cells in markdown) == (run.valid < 200)
 
 

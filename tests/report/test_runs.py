@@ -42,10 +42,10 @@ def test_an_interrupted_run_goes_on_to_the_same_weights(plan, runs, tmp_path, mo
         left[0] -= 1
         return advance(*args)
 
-    monkeypatch.setattr(training, "advance_together", interrupted)
+    monkeypatch.setattr(train, "advance_together", interrupted)
     with pytest.raises(KeyboardInterrupt):
         work.train(planned, tmp_path)
-    monkeypatch.setattr(training, "advance_together", advance)
+    monkeypatch.setattr(train, "advance_together", advance)
     assert work.check(plan, tmp_path) == {plan.runs[0].name: "unfinished", plan.runs[1].name: "new"}
     result = work.train(planned, tmp_path)
     whole = storage.read_manifest(runs / planned.name)
