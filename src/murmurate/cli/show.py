@@ -63,7 +63,7 @@ def run(argv: Sequence[str]) -> int:
     from murmurate.plots.animation import check_target
 
     if options.animation is not None:
-        check_target(options.animation)  # before patterns are formed
+        check_target(options.animation, "--animation")  # before patterns are formed
     if folders:
         return _draw(plots.Recording.open(folders[0]), Path(options.out or folders[0] / "figures"), options)
     return _form_patterns(options, **PRETRAINED | given)

@@ -68,17 +68,21 @@ def animate(recording: Recording, path: str | os.PathLike[str], episode: int | N
     storage.write_bytes(target, data)
 
 
-def check_target(path: str | os.PathLike[str]) -> None:
+def check_target(path: str | os.PathLike[str], field: str = "path") -> None:
     """Checks that an animation can be written under a name.
+
+    Args:
+        path: The name.
+        field: What the name is called in an error.
 
     Raises:
         InputError: The name has another suffix, or it is an .mp4 without the `video` extra.
     """
     suffix = Path(path).suffix.lower()
     if suffix not in SUFFIXES:
-        raise InputError("path", str(path), f"a name that ends in {', '.join(SUFFIXES)}")
+        raise InputError(field, str(path), f"a name that ends in {', '.join(SUFFIXES)}")
     if suffix == ".mp4":
-        _ffmpeg(path)
+        _ffmpeg(path, field)
 
 
 # Frames
@@ -204,12 +208,12 @@ def _encode(pictures: Sequence[Image.Image], format: str, stride: int, duration:
     return buffer.getvalue()
 
 
-def _ffmpeg(path: str | os.PathLike[str] = "") -> Any:
+def _ffmpeg(path: str | os.PathLike[str] = "", field: str = "path") -> Any:
     try:
         import imageio_ffmpeg  # pyright: ignore[reportMissingImports]
     except ImportError as error:
         allowed = "a name that ends in .gif or .webp, or the video extra installed: pip install 'murmurate[video]'"
-        raise InputError("path", str(path), allowed) from error
+        raise InputError(field, str(path), allowed) from error
     return imageio_ffmpeg
 
 
