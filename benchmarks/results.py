@@ -115,7 +115,7 @@ beside the paper's tables and figures, and all of their numbers in [report.json]
 {results}
 ![The patterns that the equivariant policy found in experiments A to F](figures/patterns.png)
 
-The colour of a path names the active policy: blue for the base policy, green for the auxiliary policy, pink for a third one.
+The colour of a path names the active policy: blue for the base policy, green for the auxiliary one, pink for a third one.
 
 ## Other starts
 

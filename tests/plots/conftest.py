@@ -7,8 +7,8 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from murmurate import geometry, plots
-from murmurate.discovery import Trajectories
 from murmurate.runs.presets import preset
+from murmurate.types import Trajectories
 
 SIGNALS = {"C1": ("close", "safety", "neighbors", "visible"), "C2": ("nclose", "safety", "neighbors", "visible")}
 

@@ -110,5 +110,11 @@ def test_a_switch_that_never_happened_falls_on_the_end(recording, change):
     assert episode.switches == (episode.steps,)
 
 
+def test_a_recording_is_one_line_and_a_picture(recording):
+    assert "\n" not in repr(recording)
+    assert repr(recording).startswith("Recording(C: ")
+    assert recording._repr_png_().startswith(b"\x89PNG")
+
+
 def test_policies_without_training_have_names(recording):
     assert replace(recording, training=()).policies == ["base", "auxiliary"]

@@ -22,9 +22,8 @@ from PIL import Image
 
 from murmurate.errors import InputError
 from murmurate.plots.recording import Episode, Recording
-from murmurate.plots.style import quantize
+from murmurate.plots.style import quantize, write_file
 from murmurate.plots.swarm import NIGHT, SwarmArtist, draw_world, path_segments, sight_pairs
-from murmurate.runs import storage
 from murmurate.world import WorldConfig
 
 __all__ = ["SUFFIXES", "animate", "check_target"]
@@ -61,11 +60,8 @@ def animate(recording: Recording, path: str | os.PathLike[str], episode: int | N
     if not 1 <= fps <= 50:
         raise InputError("fps", fps, "from 1 to 50")
     check_target(path)
-    target = Path(path)
-    encode = {".gif": _gif, ".webp": _webp, ".mp4": _mp4}[target.suffix.lower()]
-    data = encode(_frames(recording, recording.episode(episode), fps), fps)
-    storage.make_folder(target.parent)
-    storage.write_bytes(target, data)
+    encode = {".gif": _gif, ".webp": _webp, ".mp4": _mp4}[Path(path).suffix.lower()]
+    write_file(path, encode(_frames(recording, recording.episode(episode), fps), fps))
 
 
 def check_target(path: str | os.PathLike[str], field: str = "path") -> None:

@@ -107,6 +107,15 @@ class Recording:
         rows = [storage.json.loads(line) for line in storage.read_bytes(folder / METRICS).splitlines()]
         return cls(experiment, trajectories, _curves(rows))
 
+    def __repr__(self) -> str:
+        return f"Recording({self.experiment.name}: {self.trajectories!r})"
+
+    def _repr_png_(self) -> bytes:
+        """Returns the formation of the typical pattern, which notebooks show."""
+        from murmurate.plots import formation_figure, png  # imported late: the figures are drawn from recordings
+
+        return png(formation_figure(self), dpi=110)
+
     @property
     def policies(self) -> list[str]:
         """The names of the policies, in the order of the list."""

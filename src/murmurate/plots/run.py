@@ -63,7 +63,7 @@ _SIGNALS = {
     "neighbors": ("#B8860B", (0, (1.2, 1))),
     "visible": (WARNING, "-"),
 }
-_OTHER_SIGNAL = (MUTED, (0, (6, 1, 1, 1, 1, 1)))
+_OTHER_SIGNALS = (("#009E73", (0, (6, 1, 1, 1, 1, 1))), ("#0072B2", (0, (2, 2))), (MUTED, (0, (8, 2))))
 
 
 def discovery_figure(recording: Recording, episode: int | None = None) -> Figure:
@@ -120,8 +120,8 @@ def training_figure(recording: Recording) -> Figure:
     ax = add_axes(figure, WIDTH - LEFT - 4.1, 0.5, 4.1, 2.55)
     style_axes(ax, "Signals in training", "environment steps", _BEST)
     for curve in recording.training:
-        for name, values in curve.signals.items():
-            color, dashes = _SIGNALS.get(name, _OTHER_SIGNAL)
+        for index, (name, values) in enumerate(curve.signals.items()):
+            color, dashes = _signal_style(name, index)
             label = name if curve is recording.training[0] else None
             ax.plot(curve.environment_steps, values, color=color, linestyle=dashes, linewidth=1.3, label=label)
     _finish_training(ax, recording)
@@ -248,6 +248,11 @@ def _draw_start(ax: Axes, recording: Recording, episode: Episode, pattern: tuple
 # Curves: every signal is 1 at its best, so all share one scale
 
 
+def _signal_style(name: str, index: int) -> tuple[str, Any]:
+    """Returns colour and dashes of a signal's curve; a user's own signals take turns."""
+    return _SIGNALS.get(name, _OTHER_SIGNALS[index % len(_OTHER_SIGNALS)])
+
+
 def _objective_label(recording: Recording) -> str:
     return f"objective / {sum(recording.weights.values()):g}"
 
@@ -289,8 +294,8 @@ def _draw_signals(ax: Axes, recording: Recording, episode: Episode) -> None:
     def with_rest(values: np.ndarray) -> np.ndarray:
         return np.append(values, np.full(rest, values[-1]))
 
-    for name, values in episode.signals.items():
-        color, dashes = _SIGNALS.get(name, _OTHER_SIGNAL)
+    for index, (name, values) in enumerate(episode.signals.items()):
+        color, dashes = _signal_style(name, index)
         ax.plot(with_rest(values), color=color, linestyle=dashes, linewidth=1.3, label=name)
     objective = _scaled_objective(recording, episode.signals)
     ax.plot(with_rest(objective), color=INK, linewidth=2.0, label=_objective_label(recording))

@@ -50,6 +50,7 @@ __all__ = [
     "save",
     "separate_labels",
     "style_axes",
+    "write_file",
 ]
 
 INK = "#22303C"
@@ -172,12 +173,19 @@ def save(figure: Figure, path: str | os.PathLike[str], dpi: int = 180) -> None:
         InputError: The name does not end in .png.
         RunError: The file cannot be written.
     """
-    target = Path(path)
-    if target.suffix.lower() != ".png":
+    if Path(path).suffix.lower() != ".png":
         raise InputError("path", str(path), "a name that ends in .png")
-    data = png(figure, dpi)
-    storage.make_folder(target.parent)
-    storage.write_bytes(target, data)
+    write_file(path, png(figure, dpi))
+
+
+def write_file(path: str | os.PathLike[str], data: bytes) -> None:
+    """Writes a file whole or not at all, in a folder that is made if it is missing.
+
+    Raises:
+        RunError: The file cannot be written.
+    """
+    storage.make_folder(Path(path).parent)
+    storage.write_bytes(Path(path), data)
 
 
 def png(figure: Figure, dpi: int = 180) -> bytes:
