@@ -136,12 +136,16 @@ def _draw_pattern(figure: Figure, pattern: PlatePattern, corner: tuple[float, fl
     ax = add_axes(figure, *corner, side, side)
     ax.set(xlim=(-half, half), ylim=(-half, half))
     ax.set_axis_off()
-    ax.add_patch(Circle((0, 0), half, facecolor=NIGHT.background, zorder=0.5))
+    ax.add_patch(Circle((0, 0), half, facecolor=NIGHT.background, zorder=0.5)).set_clip_on(False)
     points = pattern.centred
     colors = np.where(on_hull(points), NIGHT.robot, INSIDE).tolist()
     # Lines as wide as the robots' size on the page allows.
     weight = 2 * float(np.clip(10 * side / 2 * pattern.radius / half, 0.45, 1.1))
-    SwarmArtist(ax, points, pattern.world, look=NIGHT, colors=colors, weight=weight, shells=False)
+    swarm = SwarmArtist(ax, points, pattern.world, look=NIGHT, colors=colors, weight=weight, shells=False)
+    # The longer a line the fainter: many long lines would hide the pattern.
+    lengths = np.hypot(*(points[:, None] - points).transpose(2, 0, 1))
+    brightness = np.clip(6 * pattern.radius / np.maximum(lengths, pattern.radius), 0.35, 1.0)
+    swarm.update(points, brightness * sight_pairs(points, pattern.world)[0])
 
 
 def _explain(patterns: Sequence[PlatePattern]) -> str:
