@@ -15,12 +15,6 @@ from murmurate.runs.paper import EXPERIMENTS
 from tiny import tiny
 
 
-@pytest.fixture(scope="session", autouse=True)
-def usual_broadcasting():
-    with jax.numpy_rank_promotion("allow"):
-        yield
-
-
 def make_tiny_plan(quick=False):
     """The tiny experiment in the place of all others: two runs that differ in the seed."""
     ours = {
@@ -40,8 +34,9 @@ def plan():
 def runs(plan, tmp_path_factory):
     """The folder of the plan's finished runs; not to be changed."""
     runs = tmp_path_factory.mktemp("runs")
-    for planned in plan.runs:
-        work.train(planned, runs)
+    with jax.numpy_rank_promotion("allow"):  # optax needs the usual rules
+        for planned in plan.runs:
+            work.train(planned, runs)
     return runs
 
 

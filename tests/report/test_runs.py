@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 
+import jax
 import pytest
 
 from murmurate.errors import RunError
@@ -12,6 +13,13 @@ from murmurate.report import runs as work
 from murmurate.runs import experiment as configuration
 from murmurate.runs import storage, train
 from tiny import tiny
+
+
+@pytest.fixture(autouse=True)
+def usual_broadcasting():
+    """A test that trains needs the usual rules, as optax does."""
+    with jax.numpy_rank_promotion("allow"):
+        yield
 
 
 @pytest.fixture
