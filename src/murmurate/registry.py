@@ -132,8 +132,10 @@ class Importer:
             raise InputError(field, use, f'one of {names}, or "module:Class"{hint}')
         wanted = f"a class murmurate.{kind.__name__} as module:Class"
         if not self.trusted:
-            for imported, spelling in reversed(_spellings.items()):
-                if spelling == use and issubclass(imported, kind):
+            # Nothing is executed to find a class of a module that this process has imported already.
+            loaded = getattr(sys.modules.get(module), attribute, None)
+            for imported in (*(cls for cls, spelling in _spellings.items() if spelling == use), loaded):
+                if inspect.isclass(imported) and issubclass(imported, kind):
                     return imported
             allowed = "trusted before it is imported: load(run, trust=True), or --trust"
             raise InputError(field, use, f"{allowed} ({wanted})")
