@@ -47,12 +47,13 @@ def run(argv: Sequence[str]) -> int:
     if options.seeds is not None or options.vary:
         if options.initial is not None:
             raise UsageError("--from is for one run: give it without --seeds and --vary")
-        from murmurate.cli.many import discover_many, variants
+        from murmurate.cli.many import discover_many
+        from murmurate.runs.grid import Grid
 
-        configs = variants(config, options.seeds if options.seeds is not None else 1, options.vary)
+        grid = Grid.from_flags(config, name, options.seeds if options.seeds is not None else 1, options.vary)
         with _events(options.tensorboard) as events:
             out = Path(options.out or "runs")
-            return discover_many(configs, out, name, options.resume, options.together, events)
+            return discover_many(grid, out, name, options.resume, options.together, events, options.quiet)
     if options.together is not None:
         raise UsageError("--together is for many runs: it needs --seeds or --vary")
     folder = RunFolder(options.out or Path("runs") / f"{name}-seed{config.seed}")
