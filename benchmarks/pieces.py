@@ -70,7 +70,7 @@ class Material:
         state, shape = chunk.state, chunk.shape
         run = eqx.filter_jit(lambda env, policy, state, key: collect(env, policy, state, key, shape.steps)[1])
         rollout = run(chunk.env, state.policy, state.env_state, prng.key(0))
-        advantage, target = prng.normal(prng.key(1), (2, *rollout.log_prob.shape))
+        advantage, target = jax.random.normal(prng.key(1), (2, *rollout.log_prob.shape), jnp.float32)
 
         def split(x: jax.Array) -> jax.Array:
             """(time, ..., batch) -> (minibatches, ..., time * batch / minibatches)."""

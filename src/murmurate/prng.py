@@ -1,8 +1,9 @@
 """Random numbers that depend on the seed alone, not on the JAX flags of the user.
 
 `JAX_ENABLE_X64` changes JAX's default types, and with them every number drawn. `JAX_DEFAULT_PRNG_IMPL` and
-`JAX_THREEFRY_PARTITIONABLE` change the generator. The functions here name generator and types: threefry2x32, float32
-and int32. Whole computations, such as a training, run inside `reproducible()`.
+`JAX_THREEFRY_PARTITIONABLE` change the generator. So keys come from `key` and `wrap`, and calls of `jax.random` name
+the type; `bernoulli` and `signs` are for those that cannot. Whole computations, such as a training, run inside
+`reproducible()`.
 """
 
 from __future__ import annotations
@@ -14,9 +15,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
-__all__ = ["GENERATOR", "bernoulli", "integers", "key", "normal", "reproducible", "signs", "uniform", "wrap"]
+__all__ = ["GENERATOR", "bernoulli", "key", "reproducible", "signs", "wrap"]
 
 GENERATOR = "threefry2x32"
 
@@ -41,21 +42,6 @@ def key(seed: Any) -> PRNGKeyArray:
 def wrap(data: Any) -> PRNGKeyArray:
     """Returns the keys whose `jax.random.key_data` is given."""
     return jax.random.wrap_key_data(data, impl=GENERATOR)
-
-
-def uniform(key: PRNGKeyArray, shape: Sequence[int] = (), low: Any = 0.0, high: Any = 1.0) -> Float[Array, "..."]:
-    """Returns float32 numbers between `low` and `high`."""
-    return jax.random.uniform(key, shape, jnp.float32, jnp.float32(low), jnp.float32(high))
-
-
-def normal(key: PRNGKeyArray, shape: Sequence[int] = ()) -> Float[Array, "..."]:
-    """Returns float32 numbers of the standard normal distribution."""
-    return jax.random.normal(key, shape, jnp.float32)
-
-
-def integers(key: PRNGKeyArray, shape: Sequence[int], low: Any, high: Any) -> Int[Array, "..."]:
-    """Returns int32 numbers from `low` to `high` - 1."""
-    return jax.random.randint(key, shape, low, high, jnp.int32)
 
 
 def bernoulli(key: PRNGKeyArray, probability: Any, shape: Sequence[int] = ()) -> Bool[Array, "..."]:

@@ -14,7 +14,7 @@ import pytest
 from probes import Line, begin, fresh, parabola, train
 
 from murmurate.errors import InputError
-from murmurate.learning import Batch, Hyperparameters, PPOConfig, Schedule, check_networks, collect, set_log_std
+from murmurate.learning import Batch, Hyperparameters, PPOConfig, Schedule, collect, set_log_std
 from murmurate.learning.ppo import _minibatches
 
 LINE = Line(jnp.asarray(10))
@@ -210,31 +210,6 @@ def test_an_overflow_is_marked_at_its_update():
     """The rate of the second update sends the parameters beyond float32, not that of the first."""
     rates = {"policy_rate": 0.0, "policy_rate_end": 1e30, "updates": 2}
     assert train(start(), LINE, 2, **rates)[1]["finite"].tolist() == [True, False]
-
-
-def check(policy, value):
-    check_networks(policy, value, LINE, fresh(LINE, jax.random.key(0), 8), jax.random.key(1))
-
-
-def test_networks_are_checked_before_training():
-    check(probes.linear(), parabola())
-    with pytest.raises(InputError, match=r"^value = 'float32\[8\]': must be an array float32\[1, 8\]"):
-        check(probes.linear(), lambda observation: observation)
-    with pytest.raises(InputError, match=r"^policy.distribution\(...\).log_prob = 'int32\[1, 8\]': must be an array"):
-        check(Flat(), parabola())
-
-
-class Flat(eqx.Module):
-    """A policy whose log densities are whole numbers."""
-
-    def distribution(self, observation):
-        return self
-
-    def sample(self, key):
-        return jnp.zeros((1, 8))
-
-    def log_prob(self, action):
-        return jnp.zeros((1, 8), jnp.int32)
 
 
 @pytest.mark.parametrize("value", [-1.0, float("nan"), float("inf")])

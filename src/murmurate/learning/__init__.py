@@ -16,7 +16,7 @@ from murmurate.learning.environment import (
     step_with_autoreset,
 )
 from murmurate.learning.losses import Batch, policy_loss, value_loss
-from murmurate.learning.ppo import Rollout, TrainState, check_networks, collect, init, set_log_std, train_chunk
+from murmurate.learning.ppo import Rollout, TrainState, collect, init, set_log_std, train_chunk
 from murmurate.learning.sharding import check_divides
 from murmurate.learning.together import Chunk, train_together
 
@@ -36,7 +36,6 @@ __all__ = [
     "Value",
     "ValueTarget",
     "check_divides",
-    "check_networks",
     "collect",
     "generalized_advantage",
     "init",

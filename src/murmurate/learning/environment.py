@@ -8,14 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
-__all__ = [
-    "ActionDistribution",
-    "Environment",
-    "Policy",
-    "Transition",
-    "Value",
-    "step_with_autoreset",
-]
+__all__ = ["ActionDistribution", "Environment", "Policy", "Transition", "Value", "step_with_autoreset"]
 
 
 class Transition(Protocol):

@@ -22,7 +22,7 @@ from murmurate.learning.config import Hyperparameters, Shape
 from murmurate.learning.environment import Environment, Policy, Transition, Value, step_with_autoreset
 from murmurate.learning.losses import Batch, policy_loss, value_loss
 
-__all__ = ["Rollout", "TrainState", "check_networks", "collect", "init", "set_log_std", "train_chunk"]
+__all__ = ["Rollout", "TrainState", "collect", "init", "set_log_std", "train_chunk"]
 
 _adam = optax.scale_by_adam(eps=1e-5)
 
@@ -78,35 +78,6 @@ def set_log_std(policy: Any, log_std: Any, *, scheduled: bool = False) -> Any:
     if scheduled:
         raise InputError("exploration", "scheduled", "learned for a policy that has no array `log_std`")
     return policy
-
-
-def check_networks(policy: Policy, value: Value, env: Environment, env_state: Any, key: PRNGKeyArray) -> None:
-    """Checks once, before training, that two networks fit an environment; computes shapes and types only.
-
-    Args:
-        policy: The policy network.
-        value: The value network.
-        env: The environment.
-        env_state: A batch of its states.
-        key: Any key.
-
-    Raises:
-        InputError: A network returns a wrong shape or type; the message names the network's method.
-    """
-
-    def outputs(policy: Policy, value: Value, env: Environment, state: Any, key: PRNGKeyArray) -> tuple[Any, ...]:
-        observation = env.observe(state)
-        distribution = policy.distribution(observation)
-        action = distribution.sample(key)
-        credit = env.step(state, action)[1].credit
-        return credit, distribution.log_prob(action), value(observation)
-
-    credit, log_prob, values = eqx.filter_eval_shape(outputs, policy, value, env, env_state, key)
-    for name, result in (("policy.distribution(...).log_prob", log_prob), ("value", values)):
-        shape, dtype = getattr(result, "shape", None), getattr(result, "dtype", None)
-        if shape != credit.shape or dtype != credit.dtype:
-            returned = f"{dtype}{list(shape)}" if shape is not None else type(result).__name__
-            raise InputError(name, returned, f"an array {credit.dtype}{list(credit.shape)}: (actions, batch)")
 
 
 def collect(env: Environment, policy: Policy, state: Any, key: PRNGKeyArray, steps: int) -> tuple[Any, Rollout]:

@@ -15,7 +15,17 @@ from murmurate.registry import Importer, Strategy, source_folder
 from murmurate.runs import config_io, files
 from murmurate.world import OBJECTIVES, FileStart, scaled_to
 
-__all__ = ["EXPERIMENT", "STARTS", "ExperimentConfig", "check_same", "check_seed", "load", "make_importer", "read_toml", "save"]
+__all__ = [
+    "EXPERIMENT",
+    "STARTS",
+    "ExperimentConfig",
+    "check_same",
+    "check_seed",
+    "load",
+    "make_importer",
+    "read_toml",
+    "save",
+]
 
 EXPERIMENT = "experiment.toml"
 
@@ -82,7 +92,9 @@ class ExperimentConfig(Problem):
             given = config_io.to_dict(self.sensing)
             standard = config_io.to_dict(usual)
             name = next(name for name, value in given.items() if value != standard.get(name))
-            allowed = f"{standard.get(name, 'left out')}: with the policy {self.policy.name} robots act on all positions"
+            allowed = (
+                f"{standard.get(name, 'left out')}: with the policy {self.policy.name} robots act on all positions"
+            )
             raise InputError(f"sensing.{name}", given[name], f"{allowed}; to act on their own view choose policy local")
         if self.landmark and not self.sensing.landmark:
             reason = "true with objective C1: in frames of their own, robots find a given point only by a landmark"

@@ -18,7 +18,7 @@ from murmurate.errors import BeyondTrainingWarning, InputError, RunError, check_
 from murmurate.runs import files
 from murmurate.runs.experiment import EXPERIMENT, ExperimentConfig, check_seed
 from murmurate.runs.folder import METRICS, RunFolder
-from murmurate.world import World, check_configurations, draw_starts, new_key
+from murmurate.world import World, check_configurations, draw_starts
 
 __all__ = ["MAX_EPISODES", "Run", "check_draw", "rollout_seed"]
 
@@ -134,7 +134,7 @@ class Run:
         """
         check_draw(episodes, key)
         if isinstance(key, int | np.integer):
-            key = jax.random.fold_in(new_key(int(key)), _HELD_OUT)
+            key = jax.random.fold_in(prng.key(int(key)), _HELD_OUT)
         return draw_starts(self.world.start, key, int(episodes), self.world.config)
 
     @prng.reproducible()

@@ -17,7 +17,7 @@ from murmurate import prng
 from murmurate.discovery import Search, advance_together, build_cascade, check_parts, policy_name, policy_templates
 from murmurate.errors import RunError
 from murmurate.learning import sharding
-from murmurate.runs import files
+from murmurate.runs import config_io, files
 from murmurate.runs.evaluate import EPISODES, Evaluation, evaluate
 from murmurate.runs.experiment import ExperimentConfig
 from murmurate.runs.folder import Checkpoint, FolderState, RunFolder, describe_machine
@@ -89,7 +89,7 @@ def discover_together(
     """
     on_progress, on_metrics = on_progress or (lambda *_, **__: None), on_metrics or (lambda _: None)
     folders = {RunFolder(path): config for path, config in configs.items()}
-    command = repr([(str(path), config, _origin(initial)) for path, config in configs.items()])
+    command = repr([(str(path), config_io.to_dict(config), _origin(initial)) for path, config in configs.items()])
     sharding.check_agreement("the experiment: give all of them the same command", command.encode())
     # Everything that can be wrong is checked before anything is written.
     states = _inspect(folders, resume, initial)
