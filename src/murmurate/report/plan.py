@@ -12,6 +12,7 @@ from murmurate.runs.experiment import ExperimentConfig
 from murmurate.runs.grid import Grid
 from murmurate.runs.paper import EXPERIMENTS
 from murmurate.runs.presets import preset
+from murmurate.world import Start
 
 __all__ = ["STARTS", "TRAINING_PRESETS", "Plan", "PlannedRun", "half_side", "make_plan"]
 
@@ -124,7 +125,7 @@ def _of_size(
     like = _preset("C", "equivariant", seed)
     side = half_side(robots)
     world = replace(like.world, robots=robots, half_width=side, half_height=side)
-    config = replace(like, name=f"size{robots}-{start}", world=world, start=replace(like.start, kind=start))
+    config = replace(like, name=f"size{robots}-{start}", world=world, start=Start.registered()[start]())
     planned = _planned(config, config.name, "equivariant", quick)
     return next((run for run in known if replace(planned.config, name=run.config.name) == run.config), planned)
 

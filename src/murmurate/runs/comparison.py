@@ -20,6 +20,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
+from murmurate import prng
 from murmurate.analysis.optimum.best_known import best_known
 from murmurate.analysis.optimum.formation import Target
 from murmurate.discovery import Trajectories, bound_steps, build_cascade, check_validity
@@ -45,7 +46,6 @@ from murmurate.world import (
     VisibleSensing,
     WorldConfig,
     draw_starts,
-    new_key,
 )
 
 __all__ = [
@@ -428,6 +428,7 @@ def _read_rows(path: Path, settings: Mapping[str, Any]) -> dict[Condition, dict[
         raise RunError(f"{path} is damaged: a row lacks {error}") from None
 
 
+@prng.reproducible()
 def _evaluate(comparison: Comparison, condition: Condition, policies: tuple[Any, ...]) -> dict[str, Any]:
     """Runs a method under one condition, and returns its row of the table."""
     problem = comparison.problem(condition)
@@ -469,7 +470,7 @@ def _rollouts(
     cascade = build_cascade(problem, policies)
     size = min(max(MAX_PAIRS // problem.world.robots**2, 8), comparison.episodes)
     drawn = cascade.world.start if start == RANDOM else SymmetricStart(cast(Any, start)).prepare(problem.world)
-    key = jax.random.fold_in(jax.random.fold_in(new_key(comparison.seed), _HELD_OUT), problem.world.robots)
+    key = jax.random.fold_in(jax.random.fold_in(prng.key(comparison.seed), _HELD_OUT), problem.world.robots)
     for first in range(0, comparison.episodes, size):
         starts = draw_starts(drawn, jax.random.fold_in(key, first), size, problem.world)
         # Each batch of each seed has frames, noise and a scheduler of its own.
