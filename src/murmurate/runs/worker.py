@@ -146,7 +146,9 @@ def _run(spec: str) -> str:
 
 def _end_with_parent() -> None:
     """Ends this process when the one that started it is gone, even by kill -9: its end of the pipe closes."""
-    sys.stdin.buffer.read()
+    # Not `sys.stdin`: its lock, held by this thread, would abort the interpreter when the worker ends.
+    while os.read(0, 1024):
+        pass
     os._exit(1)
 
 
