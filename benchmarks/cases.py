@@ -15,20 +15,19 @@ from benchmarks import pieces
 from benchmarks.machine import Extent, ceiling_cases
 from benchmarks.measure import Case, compiler_cost
 from benchmarks.peers import peer_cases
-from murmurate.discovery import Discovery
+from murmurate import prng
+from murmurate.discovery import Search, build_world
 from murmurate.learning import Chunk, step_with_autoreset, train_chunk
 from murmurate.runs import presets
 from murmurate.world import (
-    SensingConfig,
-    StartConfig,
+    LocalObservation,
+    ScatteredStart,
     UniformStart,
+    VisibleSensing,
     World,
-    WorldConfig,
-    draw_frames,
-    perceive,
     scaled_to,
+    with_array_leaves,
 )
-from murmurate.world.starts import layout
 
 __all__ = [
     "RESTARTS",
@@ -120,16 +119,14 @@ def batches(robots: int, size: Size) -> list[int]:
 
 def sized(robots: int) -> World:
     """Returns the world of the experiment scaled to a swarm; its starts are never drawn."""
-    config = scaled_to(presets.preset(EXPERIMENT).world, robots)
-    place = {"half_width": config.half_width, "half_height": config.half_height, "radius": config.radius}
-    world = World.create(config, UniformStart(robots=robots, **place))
-    return jax.tree.map(lambda x: jnp.asarray(x) if isinstance(x, int | float) else x, world)
+    world = World.create(scaled_to(presets.preset(EXPERIMENT).world, robots), UniformStart())
+    return with_array_leaves(eqx.tree_at(lambda w: w.horizon, world, jnp.asarray(world.horizon, jnp.int32)))
 
 
 def scattered(robots: int, worlds: int) -> jax.Array:
     """Returns swarms near the edge of the world, each a little different."""
-    config: WorldConfig = scaled_to(presets.preset(EXPERIMENT).world, robots)
-    points = layout(StartConfig(kind="scattered"), config).astype(np.float32)[..., None]
+    config = scaled_to(presets.preset(EXPERIMENT).world, robots)
+    points = ScatteredStart().layouts(config)[0].astype(np.float32)[..., None]
     noise = np.random.default_rng(0).uniform(-1, 1, (robots, 2, worlds)).astype(np.float32)
     return jnp.asarray(0.8 * points + config.radius * noise)
 
@@ -139,21 +136,22 @@ def stepping(robots: int, worlds: int, size: Size, restart: bool = False) -> Cas
     steps = size.steps_of(robots, worlds)
 
     def prepare() -> Callable[[], Any]:
-        world = Discovery(presets.preset(EXPERIMENT)).world if restart else sized(robots)
+        world = build_world(presets.preset(EXPERIMENT)) if restart else sized(robots)
         state = jax.jit(lambda world, positions: world.state(positions))(world, scattered(robots, worlds))
         # Episodes of all ages, so that some of them end at every step.
-        ages = jax.random.randint(jax.random.key(1), (worlds,), 0, world.horizon, jnp.int32)
+        ages = jax.random.randint(prng.key(1), (worlds,), 0, world.horizon, jnp.int32)
         state = eqx.tree_at(lambda s: s.step, state, ages)
-        bound = SPEED * world.max_speed
-        velocities = jax.random.uniform(jax.random.key(2), (steps, *state.positions.shape), minval=-bound, maxval=bound)
-        keys = jax.random.split(jax.random.key(3), steps)
+        bound = SPEED * world.config.max_speed
+        shape = (steps, *state.positions.shape)
+        velocities = jax.random.uniform(prng.key(2), shape, jnp.float32, -bound, bound)
+        keys = jax.random.split(prng.key(3), steps)
 
-        def one(world: Any, state: Any, velocities: Any, key: Any) -> tuple[Any, Any]:
+        def step(world: Any, state: Any, velocities: Any, key: Any) -> tuple[Any, Any]:
             return step_with_autoreset(world, state, velocities, key)[:2] if restart else world.step(state, velocities)
 
         @jax.jit
         def run(world: Any, state: Any, velocities: Any, keys: Any) -> Any:
-            return jax.lax.scan(lambda state, now: one(world, state, *now), state, (velocities, keys))
+            return jax.lax.scan(lambda state, xs: step(world, state, *xs), state, (velocities, keys))
 
         return lambda: run(world, state, velocities, keys)
 
@@ -165,40 +163,38 @@ def sensing(robots: int, worlds: int, size: Size) -> Case:
     steps = size.steps_of(robots, worlds)
 
     def prepare() -> Callable[[], Any]:
-        config = SensingConfig(kind="visible", rotation=True, reflection=True)
-        world, positions = sized(robots), scattered(robots, worlds)
-        keys = jax.random.split(jax.random.key(0), worlds)
-        frames = jax.jit(lambda keys: draw_frames(config, keys, robots))(keys)
+        sensing = VisibleSensing(rotation=True, reflection=True)
+        world = sized(robots)
+        env = LocalObservation(world, sensing, world.config)
+        state = eqx.filter_jit(lambda env, positions: env.state(positions))(env, scattered(robots, worlds))
 
-        @jax.jit
-        def run(world: Any, frames: Any, positions: Any) -> Any:
-            def look(positions: Any) -> Any:
-                return perceive(
-                    *(config, positions, frames, keys),
-                    *(world.radius, world.scan_radius, world.half_width, world.half_height),
-                )
+        @eqx.filter_jit
+        def run(env: Any, state: Any) -> Any:
+            def view(positions: Any) -> Any:
+                return env.view(eqx.tree_at(lambda s: s.unwrapped.positions, state, positions))
 
-            def step(now: tuple[Any, Any], _: None) -> tuple[Any, None]:
-                positions, view = now
+            def step(carry: tuple[Any, Any], _: None) -> tuple[Any, None]:
+                positions, seen = carry
                 # Depends on the view, so that the compiler leaves no step out.
-                positions = positions + 0.01 * jnp.sum(view.x, axis=1)[:, None] / robots
-                return (positions, look(positions)), None
+                positions = positions + 0.01 * jnp.sum(seen.x, axis=1)[:, None] / robots
+                return (positions, view(positions)), None
 
-            return jax.lax.scan(step, (positions, look(positions)), None, length=steps)[0]
+            positions = state.positions
+            return jax.lax.scan(step, (positions, view(positions)), None, length=steps)[0]
 
-        return lambda: run(world, frames, positions)
+        return lambda: run(env, state)
 
     return Case(SIZED, SENSING, worlds * (steps + 1), prepare, robots, worlds)
 
 
 def chunk(kind: str, size: Size) -> Chunk:
     """Returns the first updates of the base policy's training, as `murmurate discover` runs them."""
-    fields: dict[str, Any] = {"policy": {"kind": kind}, "base": {"ppo": size.training}}
+    fields: dict[str, Any] = {"policy": {"use": kind}, "base": {"ppo": size.training}}
     if kind == "local":
-        fields["sensing"] = {"kind": "visible", "rotation": True, "reflection": True}
-    discovery = Discovery(presets.resolve(EXPERIMENT, fields))
-    begin = discovery.begin()
-    return replace(discovery._chunk(begin, discovery.template(begin)), updates=size.updates)
+        fields["sensing"] = {"use": "visible", "rotation": True, "reflection": True}
+    search = Search(presets.resolve(EXPERIMENT, fields))
+    snapshot = search.begin()
+    return replace(search.stage(snapshot).next_chunk(search.training(snapshot)), updates=size.updates)
 
 
 def costs(size: Size) -> list[dict[str, Any]]:
@@ -217,7 +213,7 @@ def costs(size: Size) -> list[dict[str, Any]]:
 
 def training(kind: str, size: Size) -> Case:
     """Returns the case of whole updates of one policy: collecting, advantages, all epochs of both networks, metrics."""
-    stage = presets.resolve(EXPERIMENT, {"policy": {"kind": kind}, "base": {"ppo": size.training}}).base
+    stage = presets.resolve(EXPERIMENT, {"policy": {"use": kind}, "base": {"ppo": size.training}}).base
 
     def prepare() -> Callable[[], Any]:
         whole = chunk(kind, size)

@@ -14,8 +14,18 @@ from matplotlib.ticker import FuncFormatter, NullLocator
 from benchmarks import peers
 from benchmarks.cases import SENSING, SIZED, STEP
 from benchmarks.report import step_seconds
-from murmurate.plots.page import LEFT, TEXT, add_axes, add_legend, draw_head, new_page, style_axes
-from murmurate.plots.palette import INK, MUTED, policy_color
+from murmurate.plots.style import (
+    INK,
+    LEFT,
+    MUTED,
+    TEXT,
+    add_axes,
+    add_legend,
+    draw_head,
+    new_page,
+    policy_color,
+    style_axes,
+)
 
 __all__ = ["figure"]
 

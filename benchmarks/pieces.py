@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -83,12 +83,12 @@ class Material:
     @property
     def world(self) -> Any:
         """The world inside all wrappers."""
-        return list(_chain(self.chunk.env))[-1]
+        return self.chunk.env.unwrapped
 
     @property
     def action_repeat(self) -> int:
         """Steps for which each action is repeated."""
-        return next((int(env.times) for env in _chain(self.chunk.env) if hasattr(env, "times")), 1)
+        return int(self.chunk.env.times)
 
     @property
     def states(self) -> Any:
@@ -123,23 +123,6 @@ def update_cost(kind: str, chunk: Chunk) -> dict[str, float]:
     return total
 
 
-def _chain(env: Any) -> Iterator[Any]:
-    """Yields an environment and everything that it wraps, from the outside to the inside."""
-    while env is not None:
-        yield env
-        env = getattr(env, "env", None)
-
-
-def _world_state(state: Any) -> Any:
-    while hasattr(state, "world"):
-        state = state.world
-    return state
-
-
-def _positions(state: Any) -> jax.Array:
-    return _world_state(state).positions
-
-
 def _sensing(material: Material) -> Loop:
     """Observes twice per decision: to act, and for the value of the next state."""
     turns = 2 * material.chunk.shape.steps
@@ -147,8 +130,8 @@ def _sensing(material: Material) -> Loop:
     def run(env: Any, states: Any) -> Any:
         def look(carry: tuple[Any, Any], _: None) -> tuple[Any, None]:
             states, seen = carry
-            moved = _positions(states) + TINY * jnp.sum(seen.view.x, axis=1)[:, None]
-            states = eqx.tree_at(_positions, states, moved)
+            moved = states.positions + TINY * jnp.sum(seen.view.x, axis=1)[:, None]
+            states = eqx.tree_at(lambda s: s.unwrapped.positions, states, moved)
             return (states, env.observe(states)), None
 
         return jax.lax.scan(look, (states, env.observe(states)), None, length=turns - 1)[0]
@@ -175,7 +158,7 @@ def _stepping(material: Material) -> Loop:
         run,
         (material.chunk.env, material.states, actions, keys),
         material.chunk.shape.steps * material.action_repeat,
-        (step, material.world, _world_state(material.states), actions[0]),
+        (step, material.world, material.states.unwrapped, actions[0]),
     )
 
 

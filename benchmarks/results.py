@@ -56,13 +56,14 @@ def write(runs: list[Path], out: Path) -> None:
     figures = out / "figures"
     figures.mkdir(parents=True, exist_ok=True)
     firsts = [folder for folder in runs if folder.name.endswith("equivariant-seed0")]
-    records = [plots.Record.open(folder) for folder in firsts]
-    plots.save(plots.patterns_figure(records, [record.name for record in records]), figures / "patterns.png", dpi=110)
-    for record in records:
-        if record.name == "C":
-            plots.save(plots.discovery_figure(record), figures / "discovery-C.png", dpi=110)
+    recordings = [plots.Recording.open(folder) for folder in firsts]
+    names = [recording.experiment.name for recording in recordings]
+    plots.save(plots.patterns_figure(recordings, names), figures / "patterns.png", dpi=110)
+    for recording in recordings:
+        if recording.experiment.name == "C":
+            plots.save(plots.discovery_figure(recording), figures / "discovery-C.png", dpi=110)
     rows = table.results(runs)
-    others = [(record.name, *other_starts(murmurate.load(str(f)))) for record, f in zip(records, firsts, strict=True)]
+    others = [(name, *other_starts(murmurate.load(folder))) for name, folder in zip(names, firsts, strict=True)]
     page = PAGE.format(
         machine=machine(runs[0]),
         results=table.as_markdown(table.RESULTS, rows),
@@ -104,7 +105,7 @@ beside the paper's tables and figures, and all of their numbers in [report.json]
 {results}
 ![The patterns that the equivariant policy found in experiments A to F](figures/patterns.png)
 
-The ways are coloured by the policy in charge: the base policy's blue, the auxiliary policy's green, a third one's pink.
+The colour of a path names the active policy: blue for the base policy, green for the auxiliary one, pink for a third.
 
 ## Other starts
 

@@ -116,9 +116,9 @@ def _write(options: Namespace, comparison: Comparison) -> None:
     learned = [row for row in rows if not is_baseline(row["method"])] or rows
     if any(row["worst"] for row in learned):
         world = comparison.base.world
-        scans = {row["robots"]: scaled_to(world, row["robots"]).scan_radius for row in rows}
+        worlds = {row["robots"]: scaled_to(world, row["robots"]) for row in rows}
         pictures.append(out / "failures.png")
-        plots.save(plots.failures_figure(learned, world.radius, scans), pictures[1])
+        plots.save(plots.failures_figure(learned, worlds), pictures[1])
     methods = dict.fromkeys(row["method"] for row in rows if is_baseline(row["method"]))
     deviations = {method: getattr(find_baseline(method), "deviations", "") for method in methods}
     notes = [f"`{method}`: {text}" for method, text in deviations.items() if text]

@@ -37,5 +37,5 @@ def draw(folder: RunFolder) -> Path:
     from murmurate import plots
 
     path = folder.figures / "discovery.png"
-    plots.save(plots.discovery_figure(plots.Record.open(folder.path)), path)
+    plots.save(plots.discovery_figure(plots.Recording.open(folder)), path)
     return path

@@ -64,24 +64,23 @@ def reproduce(plan: Plan, runs: Path, out: Path, options: Namespace, begun: floa
     Raises:
         RunError: A folder holds something else, is damaged, or cannot be written to.
     """
-    from murmurate.report import folder
+    from murmurate.report import report
     from murmurate.report import runs as planned
-    from murmurate.report.material import Command, Material
-    from murmurate.report.report import make_report
+    from murmurate.report.data import Command, ReportData
     from murmurate.runs.execute import InProcess, LocalProcesses
 
     executor = InProcess() if options.workers is None else LocalProcesses(options.workers)
     states = Counter(planned.check(plan, runs).values())
-    folder.check(out)
+    report.check(out)
     parts = f"{states['finished']} finished, {states['unfinished']} to go on with, {states['new']} to train"
     print(f"{len(plan.runs)} runs in {runs}: {parts}", flush=True)
     results = planned.train(plan, runs, executor, options.quiet)
     print("drawing the report", flush=True)
     full = _command(options, full=True)
     command = Command(_command(options), full, time.perf_counter() - begun, states["finished"])
-    folder.write(make_report(Material(plan, results, command)), out)
-    print(f"report: {out / folder.HTML}, {out / folder.MARKDOWN}")
-    print(f"numbers: {out / folder.NUMBERS}")
+    report.write(report.make(ReportData(plan, results, command)), out)
+    print(f"report: {out / report.HTML}, {out / report.MARKDOWN}")
+    print(f"numbers: {out / report.NUMBERS}")
 
 
 def _command(options: Namespace, full: bool = False) -> str:

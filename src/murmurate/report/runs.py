@@ -38,13 +38,13 @@ class Result:
     summary: Mapping[str, Any]
 
     @functools.cached_property
-    def record(self) -> plots.Record:
-        """The recorded episodes.
+    def recording(self) -> plots.Recording:
+        """The run as figures need it.
 
         Raises:
-            RunError: They are damaged, or not finite because the training diverged.
+            RunError: Its episodes are damaged, or not finite because the training diverged.
         """
-        return plots.Record.open(self.folder)
+        return plots.Recording.open(self.folder)
 
 
 def check(plan: Plan, runs: str | Path) -> dict[str, FolderState]:

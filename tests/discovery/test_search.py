@@ -11,12 +11,13 @@ import numpy as np
 import pytest
 from handmade import Implode
 
-from murmurate.discovery import Cascade, Discovery, DiscoveryConfig, Problem, RestRule, StageConfig, policy_name
+from murmurate.discovery import DiscoveryConfig, Problem, RestRule, Search, StageConfig, policy_name, search
+from murmurate.discovery.stage import draw_key, training_world
 from murmurate.errors import InputError
 from murmurate.geometry import clearances, neighbors
 from murmurate.learning import PPOConfig, ppo
-from murmurate.policies import PolicyConfig
-from murmurate.world import StartConfig, WeightsConfig, WorldConfig
+from murmurate.policies import CentralPolicy
+from murmurate.world import FileStart, ScatteredStart, WorldConfig, draw_starts
 
 SIGMA, CHUNK, UPDATES = 12, 2, 4
 PPO = PPOConfig(updates=UPDATES, worlds=8, steps=4, minibatches=2, epochs=1)
@@ -25,13 +26,13 @@ AUXILIARY = StageConfig(
     ppo=replace(PPO, discount=0.9, policy_rate=5e-3, clip=0.1),
     horizon=6,
     noise=0.2,
-    weights=WeightsConfig(1.0, 2.0, 2.0, 3.0),
+    weights={"safety": 2.0, "neighbors": 2.0, "visible": 3.0},
 )
 PROBLEM = Problem(
     world=WorldConfig(robots=4, half_width=12.0, half_height=12.0, scan_radius=40.0, safe_distance=4.0, max_speed=0.5),
     objective="C2",
-    start=StartConfig(kind="scattered"),
-    policy=PolicyConfig(kind="central", hidden=(6,)),
+    start=ScatteredStart(),
+    policy=CentralPolicy(hidden=(6,)),
     base=BASE,
     auxiliary=AUXILIARY,
     discovery=DiscoveryConfig(max_policies=3, sigma=SIGMA, episodes=SIGMA, chunk=CHUNK),
@@ -40,22 +41,28 @@ PROBLEM = Problem(
 )
 
 
-class Judged(Discovery):
-    """A discovery that is told how good it is."""
+class Judged(Search):
+    """A search that is told how good its patterns are."""
 
     share = 0.0
 
-    def validity(self, policies, key):
+    def validity(self, policies, index):
         return self.share
 
 
-class Doomed(Judged):
-    """A discovery whose cascades do what a policy made by hand does."""
+@pytest.fixture
+def handmade_policies(monkeypatch):
+    """Has every cascade of a search do what a policy made by hand does."""
 
-    always = True
+    def use(always):
+        build = search.build_cascade
 
-    def cascade(self, policies):
-        return Cascade(tuple(Implode(self.always) for _ in policies), self.world, self.problem.rest)
+        def build_handmade(problem, policies, world=None):
+            return build(problem, tuple(Implode(always) for _ in policies), world)
+
+        monkeypatch.setattr(search, "build_cascade", build_handmade)
+
+    return use
 
 
 def finish(discovery, snapshot):
@@ -137,7 +144,7 @@ def test_every_sigma_is_free_of_collision_and_inside(unbroken):
 def test_the_auxiliary_is_trained_from_where_the_base_came_to_rest(unbroken):
     """Its episodes begin within its noise of a configuration of sigma*, on episodes' clocks of all ages."""
     between = unbroken[0][2]
-    state = Judged(PROBLEM).template(between).env_state[0]
+    state = Judged(PROBLEM).training(between).env_state[0]
     offset = np.abs(np.moveaxis(np.asarray(state.positions), -1, 0)[:, None] - np.asarray(between.sigma))
     assert (offset.max(axis=(2, 3)).min(axis=1) <= 0.2 + 1e-5).all()
     assert offset.max(axis=(2, 3)).min(axis=1).max() > 0.05
@@ -167,7 +174,7 @@ def test_resuming_makes_the_same_weights(unbroken, at):
 def test_a_template_has_the_structure_of_what_it_is_for(unbroken):
     for at in (1, 3, 5):
         train = unbroken[0][at].train
-        template = Judged(PROBLEM).template(unbroken[0][at])
+        template = Judged(PROBLEM).training(unbroken[0][at])
         assert jax.tree.structure(template) == jax.tree.structure(train)
         for mine, its in zip(jax.tree.leaves(template), jax.tree.leaves(train), strict=True):
             assert (mine.shape, mine.dtype) == (its.shape, its.dtype)
@@ -177,10 +184,10 @@ def test_an_auxiliary_may_begin_with_the_weights_before(unbroken):
     warm = Judged(
         replace(PROBLEM, auxiliary=replace(AUXILIARY, warm_start=True, ppo=replace(AUXILIARY.ppo, log_std=-2.0)))
     )
-    begun, before = warm.template(unbroken[0][2]).policy, unbroken[0][2].policies[-1]
+    begun, before = warm.training(unbroken[0][2]).policy, unbroken[0][2].policies[-1]
     assert same((begun.body, begun.head), (before.body, before.head))
     np.testing.assert_array_equal(begun.log_std, -2.0)
-    cold = Judged(PROBLEM).template(unbroken[0][2]).policy
+    cold = Judged(PROBLEM).training(unbroken[0][2]).policy
     assert not same(cold.head, before.head)
 
 
@@ -193,10 +200,11 @@ def test_the_list_is_complete_when_patterns_are_valid(least, share, policies):
     assert ended.valid == share
 
 
-def test_nothing_follows_when_every_episode_ends_in_a_collision():
+def test_nothing_follows_when_every_episode_ends_in_contact(handmade_policies):
     """Sigma is empty: the search ends without a valid pattern, and says so."""
     # From anywhere, a tight swarm may drift towards the origin without a change of its objective: that is rest.
-    discovery = Doomed(replace(PROBLEM, base=replace(BASE, random_share=0.0)))
+    handmade_policies(True)
+    discovery = Judged(replace(PROBLEM, base=replace(BASE, random_share=0.0)))
     ended = finish(discovery, discovery.begin())
     assert ended.finished
     assert len(ended.policies) == 1
@@ -204,9 +212,9 @@ def test_nothing_follows_when_every_episode_ends_in_a_collision():
     assert ended.valid == 0
 
 
-def test_sigma_holds_only_what_did_not_end_in_a_collision():
-    discovery = Doomed(PROBLEM)
-    discovery.always = False
+def test_sigma_holds_only_what_did_not_end_in_contact(handmade_policies):
+    handmade_policies(False)
+    discovery = Judged(PROBLEM)
     snapshot = discovery.begin()
     while not snapshot.policies:
         snapshot, _ = discovery.advance(snapshot)
@@ -217,14 +225,14 @@ def test_sigma_holds_only_what_did_not_end_in_a_collision():
     assert (clearances(np.moveaxis(sigma, 0, -1), 1.0) > 0).all()
 
 
-def test_validity_is_the_share_of_valid_episodes():
+def test_validity_is_the_share_of_valid_episodes(handmade_policies):
     """Robots that hold still on their circle form a valid pattern if all are neighbours."""
-    discovery = Doomed(replace(PROBLEM, world=replace(PROBLEM.world, scan_radius=22.5)))
-    discovery.always, key = None, jax.random.key(0)
-    starts = discovery.world.start.sample(key, SIGMA)
-    expected = neighbors(np.asarray(starts), 22.5).sum(axis=(0, 1)) == 4 * 3
+    handmade_policies(None)
+    discovery = Search(replace(PROBLEM, world=replace(PROBLEM.world, scan_radius=22.5)))
+    starts = draw_starts(discovery.world.start, draw_key(PROBLEM, 1, "evaluation"), SIGMA, discovery.world.config)
+    expected = neighbors(np.moveaxis(starts, 0, -1), 22.5).sum(axis=(0, 1)) == 4 * 3
     assert 0 < expected.mean() < 1
-    assert Discovery.validity(discovery, (None,), key) == expected.mean()
+    assert discovery.validity((None,), 1) == expected.mean()
 
 
 def crowd(tmp_path, **stage):
@@ -232,29 +240,30 @@ def crowd(tmp_path, **stage):
     path = tmp_path / "starts.csv"
     path.write_text("start,x,y\n" + "".join(f"0,{x},{y}\n" for x in (-1.03, 1.03) for y in (-1.03, 1.03)))
     world = WorldConfig(robots=4, half_width=1.03, half_height=1.03, scan_radius=40.0, safe_distance=4.0)
-    start = StartConfig(kind="file", file=str(path), noise=0.0)
+    start = FileStart(file=str(path), noise=0.0)
     return replace(PROBLEM, world=world, start=start, base=replace(BASE, **stage))
 
 
 def test_a_random_share_needs_room_for_random_starts(tmp_path):
     with pytest.raises(InputError, match="few enough to fit the random start"):
-        Discovery(crowd(tmp_path, random_share=0.5))
+        Search(crowd(tmp_path, random_share=0.5))
 
 
 def test_without_a_random_share_a_crowd_may_begin_as_it_is(tmp_path):
-    """Random starts, of which none is needed, would be redrawn for ever."""
-    discovery = Discovery(crowd(tmp_path, random_share=0.0))
-    state = discovery.template(discovery.begin()).env_state[0]
+    """Random starts, of which none is needed, are not drawn at all."""
+    discovery = Search(crowd(tmp_path, random_share=0.0))
+    state = discovery.training(discovery.begin()).env_state[0]
     np.testing.assert_allclose(np.abs(state.positions), 1.03, rtol=1e-6)
 
 
 def test_a_symmetric_share_begins_exactly_symmetric_and_only_the_base():
-    discovery = Discovery(replace(PROBLEM, base=replace(BASE, symmetric_share=0.5)))
+    problem = replace(PROBLEM, base=replace(BASE, symmetric_share=0.5))
+    discovery = Search(problem)
     snapshot = discovery.begin()
     counts = []
     for index in range(2):
-        start = discovery._training_world(index, snapshot).start
-        positions = np.moveaxis(np.asarray(start.sample(jax.random.key(1), 400)), -1, 0)
+        world = training_world(problem, index, discovery.world.start, snapshot.sigma)
+        positions = draw_starts(world.start, jax.random.key(1), 400, world.config)
         # Turned by half a turn around the origin, each of these families is what it was.
         turned = np.abs(positions[:, :, None] + positions[:, None]).max(axis=-1).min(axis=2).max(axis=1)
         counts.append(int((turned < 1e-4).sum()))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import cache, partial
+from functools import partial
 
 import equinox as eqx
 import jax
@@ -13,25 +13,24 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from murmurate.errors import InputError
-from murmurate.world import StartConfig, WeightsConfig, World, WorldConfig, make_start
+from murmurate.world import ScatteredStart, World, WorldConfig, with_array_leaves
 from oracles import contact
 from oracles import signals as oracle
 
 CONFIG = WorldConfig(robots=4, half_width=20.0, half_height=15.0, scan_radius=12.0, collision_penalty=0.75)
 HORIZON = 7
 SQUARE = 6.0 * np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]])
-PLAIN = WeightsConfig()
-WEIGHTS = WeightsConfig(gathering=0.5, safety=2.0, neighbors=3.0, visible=7.0)
+PLAIN = (1.0, 1.0, 1.0, 1.0)
+WEIGHTS = (0.5, 2.0, 3.0, 7.0)
+GATHERING = {"C1": "close", "C2": "nclose"}
 
 
-@cache
-def start():
-    return make_start(StartConfig(), CONFIG)
-
-
-def build(config=CONFIG, objective="C1", weights=None, horizon=HORIZON, by_robot=False):
+def build(config=CONFIG, objective="C1", weights=PLAIN, horizon=HORIZON, per_robot=False):
+    names = (GATHERING.get(objective, ""), "safety", "neighbors", "visible")
+    named = dict(zip(names, weights, strict=True)) if objective in GATHERING else None
+    world = World.create(config, ScatteredStart(), objective, named, jnp.asarray(horizon), per_robot)
     # Arrays, as under a jit: the step below then compiles once for all numbers.
-    return jax.tree.map(jnp.asarray, World.create(config, start(), objective, weights, horizon, by_robot))
+    return with_array_leaves(world)
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +40,7 @@ def world():
 
 step = jax.jit(World.step)
 state_of = jax.jit(World.state)
-reset = jax.jit(World.reset)
+reset_batch = jax.jit(World.reset_batch, static_argnums=2)
 
 
 def begin(world, positions):
@@ -64,8 +63,7 @@ def objective_of(positions, gathering="close", config=CONFIG, weights=PLAIN):
         config.safe_distance,
         config.safety,
     )
-    factors = (weights.gathering, weights.safety, weights.neighbors, weights.visible)
-    return sum(w * v for w, v in zip(factors, values.values(), strict=True))
+    return sum(w * v for w, v in zip(weights, values.values(), strict=True))
 
 
 def still(**moving):
@@ -194,7 +192,7 @@ def test_credit_is_the_reward_unless_it_is_shared(world):
 @pytest.mark.parametrize("objective", ["C1", "C2"])
 def test_shared_credit_of_one_mover_is_its_difference_reward(objective):
     """When one robot alone moves, its credit is N / 2 times the reward; the weights count in both."""
-    world = build(objective=objective, weights=WEIGHTS, by_robot=True)
+    world = build(objective=objective, weights=WEIGHTS, per_robot=True)
     rng = np.random.default_rng(5)
     for mover in range(4):
         velocity = rng.uniform(-1, 1, 2)
@@ -204,7 +202,7 @@ def test_shared_credit_of_one_mover_is_its_difference_reward(objective):
 
 
 def test_the_penalty_is_shared_by_those_who_collided_or_left():
-    world = build(by_robot=True)
+    world = build(per_robot=True)
     crowd = [[0.0, 0.0], [2.1, 0.0], [9.0, 9.0], [-9.0, -9.0]]
     _, hit = move(world, crowd, still(r0=(1.0, 0.0)))
     np.testing.assert_array_equal(hit.credit, [-0.75, -0.75, 0.0, 0.0])
@@ -249,20 +247,14 @@ def test_vmap_of_a_step_is_the_batch(world):
     np.testing.assert_allclose(transition.reward, its.reward, atol=2e-5)
 
 
-def test_reset_begins_an_episode_by_its_key(world):
-    state = reset(world, jax.random.key(0))
-    assert state.positions.shape == (4, 2)
-    assert state.step == 0
-    np.testing.assert_allclose(state.objective, objective_of(state.positions), rtol=1e-5)
-    np.testing.assert_array_equal(reset(world, jax.random.key(0)).positions, state.positions)
-    assert (reset(world, jax.random.key(1)).positions != state.positions).any()
-
-
 def test_a_batch_of_episodes_begins_at_starts_of_its_own(world):
-    state = jax.jit(World.reset_batch, static_argnums=2)(world, jax.random.key(0), 16)
+    state = reset_batch(world, jax.random.key(0), 16)
     assert state.positions.shape == (4, 2, 16)
     assert state.step.shape == state.objective.shape == (16,)
     assert len(np.unique(np.asarray(state.positions[0, 0]))) == 16
+    np.testing.assert_allclose(state.objective[3], objective_of(state.positions[..., 3]), rtol=1e-5)
+    np.testing.assert_array_equal(reset_batch(world, jax.random.key(0), 16).positions, state.positions)
+    assert (reset_batch(world, jax.random.key(1), 16).positions != state.positions).any()
 
 
 def test_numbers_change_without_compiling_again():
@@ -306,5 +298,5 @@ def test_no_such_world(fields):
 
 
 def test_there_is_no_such_objective():
-    with pytest.raises(InputError, match=r"^objective = 'C9': must be one of C1, C2$"):
+    with pytest.raises(InputError, match=r"^objective = 'C9': must be one of C1, C2, custom$"):
         build(objective="C9")

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from murmurate.errors import InputError
-from murmurate.world import SchedulerConfig, SchedulerWrapper, StartConfig, World, WorldConfig, epochs_of, make_start
+from murmurate.world import Activation, Scheduler, SchedulerWrapper, UniformStart, World, WorldConfig
 
 ROBOTS, STEPS, BATCH = 4, 60, 8
 # So far apart that nobody ever meets, in a world that nobody ever leaves.
@@ -19,7 +19,11 @@ PLACES = np.array([[0, 0], [1000, 0], [0, 1000], [1000, 1000]], np.float32)
 
 
 def world(config=WORLD):
-    return World.create(config, make_start(StartConfig(kind="random"), config), "C2")
+    return World.create(config, UniformStart(), "C2")
+
+
+def scheduler_of(use="fsync", **fields):
+    return Scheduler.registered()[use](**fields)
 
 
 def answer(step):
@@ -30,13 +34,13 @@ def answer(step):
 
 def ran(steps=STEPS, seed=0, **scheduler):
     """Runs a scheduler; returns displacements (steps, robots, 2, batch) and epochs after every step."""
-    env = SchedulerWrapper(world(), SchedulerConfig(**scheduler))
+    env = SchedulerWrapper(world(), scheduler_of(**scheduler))
     places = jnp.asarray(np.broadcast_to(PLACES[..., None], (ROBOTS, 2, BATCH)))
     answers = jnp.asarray(np.array([answer(t) for t in range(steps)]))
 
     def one(state, velocity):
         after, transition = env.step(state, jnp.broadcast_to(velocity[None, :, None], places.shape))
-        return after, (after.positions - state.positions, epochs_of(after), transition.terminated)
+        return after, (after.positions - state.positions, after.epochs, transition.terminated)
 
     _, (moved, epochs, ended) = jax.lax.scan(one, env.state(places, seed), answers)
     assert not ended.any()
@@ -70,29 +74,35 @@ def recounted(looked):
 
 
 def test_all_at_every_step_is_what_the_world_itself_does():
-    plain, env = world(), SchedulerWrapper(world(), SchedulerConfig())
+    plain, env = world(), SchedulerWrapper(world(), scheduler_of())
     state, same = env.state(jnp.asarray(PLACES)), plain.state(jnp.asarray(PLACES))
     for step in range(5):
         velocities = jnp.asarray(3 * np.random.default_rng(step).normal(size=(ROBOTS, 2)), jnp.float32)
         (state, a), (same, b) = env.step(state, velocities), plain.step(same, velocities)
         assert (np.asarray(state.positions) == np.asarray(same.positions)).all()
         assert float(a.reward) == float(b.reward)
-    assert int(epochs_of(state)) == int(epochs_of(same)) == 5
-    assert SchedulerConfig().plain
-    assert not SchedulerConfig(rigid=False).plain
+    assert int(state.epochs) == int(same.epochs) == 5
+    assert scheduler_of().is_trivial
+    assert not scheduler_of(rigid=False).is_trivial
 
 
 @settings(max_examples=8)
-@given(seed=st.integers(0, 1000), share=st.sampled_from([0.0, 0.4, 1.0]), within=st.sampled_from([1, 4]))
-def test_some_at_every_step_never_nobody_and_everybody_within_the_bound(seed, share, within):
-    moved, epochs = ran(seed=seed, kind="ssync", share=share, within=within)
+@given(
+    seed=st.integers(0, 1000),
+    activation_probability=st.sampled_from([0.0, 0.4, 1.0]),
+    fairness_bound=st.sampled_from([1, 4]),
+)
+def test_some_at_every_step_never_nobody_and_everybody_within_the_bound(seed, activation_probability, fairness_bound):
+    moved, epochs = ran(
+        seed=seed, use="ssync", activation_probability=activation_probability, fairness_bound=fairness_bound
+    )
     looked = looks(moved)
     active = looked >= 0
     assert active.any(axis=1).all()
     now = np.broadcast_to(np.arange(STEPS)[:, None, None], looked.shape)
     assert (looked[active] == now[active]).all()
-    for first in range(STEPS - within + 1):
-        assert active[first : first + within].any(axis=0).all()
+    for first in range(STEPS - fairness_bound + 1):
+        assert active[first : first + fairness_bound].any(axis=0).all()
     # Every active robot completes its cycle within the step.
     count = np.zeros(BATCH, int)
     for episode in range(BATCH):
@@ -102,21 +112,21 @@ def test_some_at_every_step_never_nobody_and_everybody_within_the_bound(seed, sh
             if len(done) == ROBOTS:
                 done, count[episode] = set(), count[episode] + 1
         assert epochs[-1, episode] == count[episode]
-    assert (epochs[-1] >= STEPS // within).all()
+    assert (epochs[-1] >= STEPS // fairness_bound).all()
 
 
 def test_the_share_of_the_active_is_as_asked():
-    active = looks(ran(steps=400, kind="ssync", share=0.3, within=50)[0]) >= 0
+    active = looks(ran(steps=400, use="ssync", activation_probability=0.3, fairness_bound=50)[0]) >= 0
     # One is drawn where all would rest: 0.3 + 0.7^4 / 4.
     assert active.mean() == pytest.approx(0.3 + 0.7**4 / 4, abs=0.02)
 
 
 @settings(max_examples=8)
-@given(seed=st.integers(0, 1000), delay=st.sampled_from([0, 1, 4]), span=st.sampled_from([1, 5]))
-def test_each_in_its_own_time_moves_by_what_it_saw_some_steps_ago(seed, delay, span):
-    moved, epochs = ran(seed=seed, kind="async", delay=delay, span=span)
+@given(seed=st.integers(0, 1000), max_delay=st.sampled_from([0, 1, 4]), max_move_steps=st.sampled_from([1, 5]))
+def test_each_in_its_own_time_moves_by_what_it_saw_some_steps_ago(seed, max_delay, max_move_steps):
+    moved, epochs = ran(seed=seed, use="async", max_delay=max_delay, max_move_steps=max_move_steps)
     looked = looks(moved)
-    period = SchedulerConfig(kind="async", delay=delay, span=span).period
+    period = scheduler_of(use="async", max_delay=max_delay, max_move_steps=max_move_steps).period
     steps = np.arange(STEPS)
     for robot in range(ROBOTS):
         for episode in range(BATCH):
@@ -125,12 +135,12 @@ def test_each_in_its_own_time_moves_by_what_it_saw_some_steps_ago(seed, delay, s
             for cycle, following in zip(cycles, [*cycles[1:], None], strict=True):
                 at = steps[own == cycle]
                 assert (np.diff(at) == 1).all(), "a move is in one piece"
-                assert len(at) <= span
-                assert 0 <= at[0] - cycle <= delay
-                assert following is None or 1 <= following - at[-1] <= delay + 1
+                assert len(at) <= max_move_steps
+                assert 0 <= at[0] - cycle <= max_delay
+                assert following is None or 1 <= following - at[-1] <= max_delay + 1
             assert len(cycles) >= STEPS // period - 1
     assert (epochs[:-1] == recounted(looked)[:-1]).all()
-    if delay:
+    if max_delay:
         stale = looked[looked >= 0] < np.broadcast_to(steps[:, None, None], looked.shape)[looked >= 0]
         assert stale.any()
         assert len({tuple(looked[:, r, 0] >= 0) for r in range(ROBOTS)}) > 1
@@ -139,12 +149,12 @@ def test_each_in_its_own_time_moves_by_what_it_saw_some_steps_ago(seed, delay, s
 @settings(max_examples=8)
 @given(
     seed=st.integers(0, 1000),
-    kind=st.sampled_from(["fsync", "ssync", "async"]),
-    least=st.sampled_from([0.05, 0.5, 2.0]),
+    use=st.sampled_from(["fsync", "ssync", "async"]),
+    min_move=st.sampled_from([0.05, 0.5, 2.0]),
 )
-def test_a_move_may_be_stopped_but_not_before_the_least_distance(seed, kind, least):
-    moved, _ = ran(seed=seed, kind=kind, rigid=False, least=least)
-    whole, _ = ran(seed=seed, kind=kind, rigid=True)
+def test_a_move_may_be_stopped_but_not_before_the_least_distance(seed, use, min_move):
+    moved, _ = ran(seed=seed, use=use, rigid=False, min_move=min_move)
+    whole, _ = ran(seed=seed, use=use, rigid=True)
     looked, meant = looks(moved), looks(whole)
     shorter = 0
     for robot in range(ROBOTS):
@@ -154,10 +164,10 @@ def test_a_move_may_be_stopped_but_not_before_the_least_distance(seed, kind, lea
                 go = moved[looked[:, robot, episode] == cycle, robot, :, episode].sum(axis=0)
                 want = whole[meant[:, robot, episode] == cycle, robot, :, episode].sum(axis=0)
                 way, full = np.hypot(*go), np.hypot(*want)
-                assert min(least, full) - 1e-3 <= way <= full + 1e-3
+                assert min(min_move, full) - 1e-3 <= way <= full + 1e-3
                 assert np.abs(go[0] * want[1] - go[1] * want[0]) < 1e-3
                 shorter += way < full - 1e-3
-    assert shorter or least > 0.8
+    assert shorter or min_move > 0.8
 
 
 def test_an_adversary_does_worse_than_chance_and_is_as_fair():
@@ -165,7 +175,7 @@ def test_an_adversary_does_worse_than_chance_and_is_as_fair():
     results = {}
     for adversarial in (False, True):
         env = SchedulerWrapper(
-            world(config), SchedulerConfig(kind="ssync", adversarial=adversarial, within=6, rigid=False)
+            world(config), scheduler_of(use="ssync", adversarial=adversarial, fairness_bound=6, rigid=False)
         )
 
         def one(state, _, env=env):
@@ -184,34 +194,55 @@ def test_an_adversary_does_worse_than_chance_and_is_as_fair():
 
 def test_those_who_stand_still_collide_too():
     config = WorldConfig(robots=2, half_width=20, half_height=20)
-    env = SchedulerWrapper(world(config), SchedulerConfig(kind="ssync", share=0.0, within=100))
+    env = SchedulerWrapper(world(config), scheduler_of(use="ssync", activation_probability=0.0, fairness_bound=100))
     state = env.state(jnp.asarray([[-1.3, 0.0], [1.3, 0.0]]))
     _, transition = env.step(state, jnp.asarray([[1.0, 0.0], [-1.0, 0.0]]))
     assert bool(transition.terminated)
 
 
 def test_not_a_number_ends_the_episode():
-    env = SchedulerWrapper(world(), SchedulerConfig(rigid=False))
+    env = SchedulerWrapper(world(), scheduler_of(rigid=False))
     _, transition = env.step(env.state(jnp.asarray(PLACES)), jnp.full((ROBOTS, 2), jnp.nan))
     assert bool(transition.terminated)
 
 
 @pytest.mark.parametrize(
-    ("field", "value", "allowed"),
+    ("use", "field", "value", "allowed"),
     [
-        ("kind", "sync", "one of fsync, ssync, async"),
-        ("share", 1.5, "a finite number >= 0 and <= 1"),
-        ("within", 0, "an integer >= 1"),
-        ("delay", -1, "an integer >= 0"),
-        ("span", 0, "an integer >= 1"),
-        ("least", 0.0, "a finite number > 0"),
+        ("ssync", "activation_probability", 1.5, "a finite number >= 0 and <= 1"),
+        ("ssync", "fairness_bound", 0, "an integer >= 1"),
+        ("async", "max_delay", -1, "an integer >= 0"),
+        ("async", "max_move_steps", 0, "an integer >= 1"),
+        ("fsync", "min_move", 0.0, "a finite number > 0"),
     ],
 )
-def test_bad_numbers_are_refused(field, value, allowed):
+def test_bad_numbers_are_refused(use, field, value, allowed):
     with pytest.raises(InputError, match=f"{field} = .*: must be {allowed}"):
-        SchedulerConfig(**{field: value})
+        scheduler_of(use, **{field: value})
 
 
-def test_an_adversary_has_no_say_where_each_has_its_own_time():
-    with pytest.raises(InputError, match="adversarial = True: must be false with kind = 'async'"):
-        SchedulerConfig(kind="async", adversarial=True)
+class RoundRobin(Scheduler):
+    """One robot after another: a scheduler of a user's own, which knows the step."""
+
+    def activate(self, key, clock):
+        robots = clock.idle.shape[0]
+        zero = jnp.zeros(robots, jnp.int32)
+        return Activation(clock.step % robots == jnp.arange(robots), zero, zero, zero + 1, jnp.ones(robots))
+
+    @property
+    def period(self):
+        return MAX_ROBOTS
+
+
+MAX_ROBOTS = ROBOTS
+
+
+def test_a_scheduler_of_ones_own_is_told_the_step():
+    env = SchedulerWrapper(world(), RoundRobin())
+    state = env.state(jnp.asarray(PLACES))
+    for step in range(2 * ROBOTS):
+        after, _ = env.step(state, jnp.full((ROBOTS, 2), 0.5))
+        moved = np.asarray((after.positions != state.positions).any(axis=1))
+        np.testing.assert_array_equal(np.flatnonzero(moved), [step % ROBOTS])
+        state = after
+    assert int(state.epochs) == 2
