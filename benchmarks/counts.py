@@ -16,7 +16,7 @@ from dataclasses import astuple, dataclass
 from benchmarks import ceilings
 from murmurate.learning import PPOConfig
 from murmurate.policies import PolicyConfig
-from murmurate.policies.features import SHADOWS, pair_channels, robot_channels
+from murmurate.policies.features import SHADOW_CHANNELS, pair_channels, robot_channels
 
 __all__ = ["Rates", "Work", "floor", "networks", "step", "update"]
 
@@ -155,7 +155,7 @@ def features(robots: int, basis: int, landmark: bool = True) -> Work:
     rings = (basis // 2) * Work(plain=6)
     # A third robot: offset (4, quotient), cosine (3), bell (4, quotient), nearer, ahead, behind (8), six sums (9).
     third = Work(plain=28, roots=2)
-    around = Work(plain=SHADOWS)
+    around = Work(plain=SHADOW_CHANNELS)
     robot = Work(plain=7 * basis, roots=basis)
     place = Work(plain=5 + 7 * basis, roots=3, functions=1 + basis)
     return (

@@ -37,18 +37,17 @@ def start(robots, rng):
 
 def signals_of(positions, world, objective):
     """The definitions of design.md, written for (configurations, robots, 2)."""
-    moved = np.moveaxis(positions, 0, -1)
-    robots, diagonal = len(moved), np.hypot(world["half_width"], world["half_height"])
-    distance = geometry.distances(moved)
-    counts = geometry.counts(moved, world["radius"], world["scan_radius"])
+    robots, diagonal = positions.shape[1], np.hypot(world["half_width"], world["half_height"])
     off = ~np.eye(robots, dtype=bool)
-    unsafe = np.sqrt(np.maximum(0, world["safe_distance"] - distance[off])).sum(axis=0)
+    distance = geometry.distances(positions)[:, off]
+    flags = geometry.neighbors_and_visible(positions, world["radius"], world["scan_radius"])
+    unsafe = np.sqrt(np.maximum(0, world["safe_distance"] - distance)).sum(axis=1)
     close = {
-        "C1": 1 - np.linalg.norm(moved, axis=1).mean(axis=0) / diagonal,
-        "C2": 1 - distance[off].mean(axis=0) / (2 * diagonal),
+        "C1": 1 - np.linalg.norm(positions, axis=2).mean(axis=1) / diagonal,
+        "C2": 1 - distance.mean(axis=1) / (2 * diagonal),
     }[objective]
     safety = 1 - unsafe / (robots * np.sqrt(world["safe_distance"]))
-    return np.stack([close, safety, *(c.mean(axis=0) / (robots - 1) for c in (counts.all, counts.vis))], axis=-1)
+    return np.stack([close, safety, *(pairs[:, off].mean(axis=1) for pairs in flags)], axis=-1)
 
 
 def metrics(policies, objective, rng):

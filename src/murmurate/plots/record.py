@@ -187,12 +187,12 @@ class Record:
         return np.array([bool(rest) and self._forms_pattern(index) for index, rest in enumerate(self.at_rest)])
 
     def _forms_pattern(self, index: int) -> bool:
-        path = np.moveaxis(self.positions[index, : self.lengths[index] + 1], 0, -1)
-        final, sizes = path[..., -1], self.sizes
+        path = self.positions[index, : self.lengths[index] + 1]
+        final, sizes = path[-1], self.sizes
         other = ~np.eye(sizes.robots, dtype=bool)
         seen = geometry.visible(final, sizes.radius, sizes.scan_radius)  # a robot seen is a neighbour as well
         safe = geometry.distances(final) >= sizes.safe_distance
-        hit = geometry.collides(path[..., :-1], np.diff(path, axis=-1), sizes.radius)
+        hit = geometry.any_contact(path[:-1], np.diff(path, axis=0), sizes.radius)
         return bool((seen & safe)[other].all() and not hit.any())
 
     def typical(self) -> int:

@@ -90,8 +90,7 @@ class Evaluation:
     @functools.cached_property
     def values(self) -> Float[np.ndarray, " episodes"]:
         """The objective at the end of each episode, all weights 1, in float64."""
-        finals = np.moveaxis(self.trajectories.final.astype(float), 0, -1)
-        return np.sum(list(self.target.signals(finals).values()), axis=0)
+        return np.sum(list(self.target.signals(self.trajectories.final).values()), axis=0)
 
     @property
     def best(self) -> int | None:
@@ -103,7 +102,7 @@ class Evaluation:
         if self.best is None or not is_record(self.target, float(self.values[self.best])):
             return None
         final = self.trajectories.final[self.best].astype(float)
-        return BestKnown.of(self.target, final, command(self.experiment))
+        return BestKnown.from_target(self.target, final, command(self.experiment))
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Returns what trajectories.npz holds."""
