@@ -1,4 +1,4 @@
-"""Features of a robot are similar in similar swarms of any size."""
+"""What a robot can tell of its swarm is alike in swarms of any size, where they look alike."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from murmurate.policies.features import (
 )
 from murmurate.world import WorldConfig
 
-CONFIG = WorldConfig(robots=8, half_width=40.0, half_height=40.0)
+WORLD = WorldConfig(robots=8, half_width=40.0, half_height=40.0)
 
 
 def ring(robots, radius):
@@ -38,7 +38,7 @@ def mean_distance(points):
 
 def spread(points):
     mean = jnp.full((1,), mean_distance(points))
-    return np.asarray(relative_spread(mean, jnp.full((1,), len(points) - 1.0), CONFIG))[:, 0]
+    return np.asarray(relative_spread(mean, jnp.full((1,), len(points) - 1.0), WORLD))[:, 0]
 
 
 @pytest.mark.parametrize("robots", [4, 6, 8, 12, 16, 24, 64, 256])

@@ -22,11 +22,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from murmurate import prng
 from murmurate.errors import MOST, InputError, check_choice, check_number
 from murmurate.geometry import _batch_last
 from murmurate.registry import Strategy
 from murmurate.world.config import WorldConfig
-from murmurate.world.randomness import new_key
 
 __all__ = [
     "DistributedStart",
@@ -416,6 +416,7 @@ def _touch_earlier(positions: Float[Array, "robots 2 batch"], radius: Any) -> An
     return _batch_last.fold(operator.or_, (_batch_last.clearances(positions, radius) <= 0) & earlier, axis=1)
 
 
+@prng.reproducible()
 def draw_starts(
     start: Start, key: PRNGKeyArray, count: int, world: WorldConfig
 ) -> Float[np.ndarray, "starts robots 2"]:
@@ -439,7 +440,7 @@ def check_start(start: Start, world: WorldConfig) -> Start:
         InputError: The start returns another shape or type, or numbers that are not finite, or its robots do not fit.
     """
     prepared = start.prepare(world)
-    key = new_key(0)
+    key = prng.key(0)
     try:
         found = eqx.filter_eval_shape(prepared.sample, key, TRIALS, world)
     except InputError:

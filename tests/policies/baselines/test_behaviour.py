@@ -21,24 +21,24 @@ from murmurate.world import (
     WorldConfig,
     draw_starts,
 )
-from murmurate.world.env import with_array_leaves
 
 CONFIG = WorldConfig(robots=6, half_width=35.0, half_height=35.0, scan_radius=105.0)
 
 
 @functools.cache
 def anywhere():
-    start = UniformStart().prepare(CONFIG)
-    return np.asarray(draw_starts(start, jax.random.key(5), 32, CONFIG))
+    world = World.create(CONFIG, UniformStart(), "C2")
+    return world, draw_starts(world.start, jax.random.key(5), 32, CONFIG)
 
 
 @functools.cache
 def ran(name, count=16, steps=200):
+    world, starts = anywhere()
     policy = BASELINES[name](CONFIG, False)
     sensing = GlobalSensing() if policy.centralised else VisibleSensing(rotation=True)
-    rest = RestRule(max_steps=steps)
-    world = with_array_leaves(World.create(CONFIG, UniformStart(), "C2"))
-    trajectories = Cascade((policy,), LocalObservation(world, sensing, CONFIG), rest).rollout(anywhere()[:count])
+    trajectories = Cascade((policy,), LocalObservation(world, sensing, CONFIG), RestRule(max_steps=steps)).rollout(
+        starts[:count]
+    )
     return trajectories, check_validity(trajectories, CONFIG)
 
 
@@ -54,7 +54,7 @@ def test_a_walk_at_random_goes_nowhere_in_particular():
 def test_the_centroid_gathers_without_collision():
     trajectories, validity = ran("centroid", 32)
     gathered = trajectories.signals["nclose"]
-    assert (validity.contact_free & validity.inside).all()
+    assert validity.contact_free.all()
     assert validity.safe.all()
     assert (gathered[:, -1] > gathered[:, 0]).all()
     assert gathered[:, -1].mean() > 0.9
@@ -91,7 +91,7 @@ def inside(points):
 def test_two_colours_leave_nobody_inside():
     trajectories, validity = ran("two-color")
     first = sum(inside(positions[0]) for positions in trajectories.positions)
-    last = sum(inside(final) for final in trajectories.final[(validity.contact_free & validity.inside)])
+    last = sum(inside(final) for final in trajectories.final[validity.contact_free])
     assert first > 10
     assert last == 0
 
