@@ -512,5 +512,5 @@ def _left(final: Float[np.ndarray, "episodes robots 2"], world: WorldConfig) -> 
 
 
 def _visible_fraction(final: Float[np.ndarray, "episodes robots 2"], world: WorldConfig) -> np.ndarray:
-    _, seen = neighbors_and_visible(np.moveaxis(final, 0, -1), world.radius, world.scan_radius)
-    return seen.sum(axis=(0, 1)) / (world.robots * (world.robots - 1))
+    _, seen = neighbors_and_visible(final, world.radius, world.scan_radius)
+    return seen.sum(axis=(1, 2)) / (world.robots * (world.robots - 1))
