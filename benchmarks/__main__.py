@@ -1,4 +1,4 @@
-"""Times world and training beside the machine's ceilings and other projects; writes tables, JSON and a figure.
+"""Times the world and the training, the machine's ceilings and other projects; writes tables, JSON and a figure.
 
 python -m benchmarks --out docs/benchmarks.md --json docs/benchmarks.json --figure docs/figures/cost.png (`make
 benchmark`: six minutes on two quiet cores). With --redraw, page and figure are made from the JSON instead.
@@ -15,11 +15,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks import figure, machine, memory, report
-from benchmarks.cases import SIZED, STEP, TRAINING, Size, all_cases, batches
-from benchmarks.ceilings import Extent
-from benchmarks.summary import summary
-from benchmarks.timing import Case, measure
+from benchmarks import figure, report
+from benchmarks.cases import SIZED, STEP, TRAINING, Size, all_cases, batches, costs
+from benchmarks.machine import Extent, machine, memory_bytes
+from benchmarks.measure import Case, measure, peak_here, peak_memory
 from murmurate import plots
 
 QUICK = Size(
@@ -54,7 +53,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     size = _size(parser, options)
     if options.peak:
         chosen = [case for case in all_cases(size) if case.key == options.peak]
-        print(json.dumps({"peak_bytes": memory.peak_here(chosen[0])}))
+        print(json.dumps({"peak_bytes": peak_here(chosen[0])}))
         return
     if options.redraw:
         if options.json is None or not options.json.is_file():
@@ -71,17 +70,24 @@ def run(size: Size, repeats: int, remade: Sequence[str]) -> dict[str, Any]:
     """Measures everything.
 
     Args:
-        size: How much.
+        size: The amount of work.
         repeats: Timed runs of each case.
-        remade: Arguments by which a process of its own makes the same cases.
+        remade: Arguments with which another process makes the same cases.
     """
-    begun = time.perf_counter()
+    start = time.perf_counter()
     cases = all_cases(size)
     timings, left_out = measure(cases, repeats, _tell)
-    found = summary(timings, left_out, size)
-    peaks = [{**_named(case), "peak_bytes": _peak(case, remade)} for case in _weighed(cases, size)]
-    head = {"machine": machine.machine(), "repeats": repeats, "updates": size.updates}
-    return {**head, "seconds": round(time.perf_counter() - begun), **found, "memory": peaks}
+    rows = report.records(timings)
+    _tell("counting operations")
+    results = {
+        "cases": rows,
+        "costs": costs(size),
+        "fits": report.fits(rows),
+        "left_out": [case.key for case in left_out],
+        "memory": [{**_named(case), "peak_bytes": _peak(case, remade)} for case in _weighed(cases, size)],
+    }
+    head = {"machine": machine(), "repeats": repeats, "updates": size.updates}
+    return {**head, "seconds": round(time.perf_counter() - start), **results}
 
 
 def _tell(line: str) -> None:
@@ -97,7 +103,7 @@ def _weighed(cases: Sequence[Case], size: Size) -> list[Case]:
 
 def _peak(case: Case, remade: Sequence[str]) -> int | None:
     _tell(f"peak memory of {case.key}")
-    return memory.peak(case, remade)
+    return peak_memory(case, remade)
 
 
 def _named(case: Case) -> dict[str, Any]:
@@ -111,7 +117,7 @@ def _size(parser: argparse.ArgumentParser, options: argparse.Namespace) -> Size:
     robots = tuple(sorted(set(options.robots)))
     if robots[0] < 2:
         parser.error(f"--robots: {robots[0]}: a swarm has at least 2")
-    room = machine.memory_bytes()
+    room = memory_bytes()
     if room and PAIR_BYTES * robots[-1] ** 2 > room:
         most = int((room / PAIR_BYTES) ** 0.5)
         parser.error(f"--robots: {robots[-1]}: at most {most} fit into the {room / 2**30:.0f} GiB of memory here")

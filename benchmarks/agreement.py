@@ -56,8 +56,7 @@ def _rows(device: jax.Device) -> Iterator[tuple[Any, ...]]:
         # Some close together, discs over one another among them, some far apart.
         positions = (positions * rng.uniform(0.3, 1.0, (1, 1, worlds))).astype(np.float32)
         velocities = rng.uniform(-1, 1, positions.shape).astype(np.float32)
-        radius = float(world.radius)
-        far = float(world.scan_radius)
+        radius, far = float(world.config.radius), float(world.config.scan_radius)
         seen = _both(device, lambda x, r=radius, far=far: visible(x, r, far), positions)
         yield _flags("who sees whom", robots, *seen)
         met = _both(device, lambda x, v, r=radius: touches(x, v, r), positions, velocities)

@@ -1,9 +1,9 @@
-"""Compares the package's weights with the baselines, 1,000 starts a cell: `make compare` (an hour or two on two cores).
+"""Compares the package's weights with the baselines, 1,000 starts for each condition: `make compare` (hours).
 
 python -m benchmarks.compare [--out docs]
 
-Writes the folder comparison and into results.md (C2), and the folder comparison/C1 and into point.md (C1). Cells that
-the folders hold are not run again: delete comparison.json after new weights.
+Writes the folder comparison and into results.md (C2), and the folder comparison/C1 and into point.md (C1). Conditions
+that the folders hold are not evaluated again: delete comparison.json after new weights.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def compare(parts: Sequence[tuple[str, ...]], folder: Path, page: Path) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, default=Path("docs"), help="where the pages and the cells are kept")
+    parser.add_argument("--out", type=Path, default=Path("docs"), help="where the pages and the comparisons are kept")
     docs = parser.parse_args().out
     compare(PARTS, docs / "comparison", docs / "results.md")
     compare(POINT, docs / "comparison" / "C1", docs / "point.md")

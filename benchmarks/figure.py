@@ -13,9 +13,19 @@ from matplotlib.ticker import FuncFormatter, NullLocator
 
 from benchmarks import peers
 from benchmarks.cases import SENSING, SIZED, STEP
-from benchmarks.summary import costs
-from murmurate.plots.page import LEFT, TEXT, add_axes, add_legend, draw_head, new_page, style_axes
-from murmurate.plots.palette import INK, MUTED, policy_color
+from benchmarks.report import step_seconds
+from murmurate.plots.style import (
+    INK,
+    LEFT,
+    MUTED,
+    TEXT,
+    add_axes,
+    add_legend,
+    draw_head,
+    new_page,
+    policy_color,
+    style_axes,
+)
 
 __all__ = ["figure"]
 
@@ -51,7 +61,7 @@ def _draw_costs(ax: Axes, data: Mapping[str, Any]) -> None:
     _logarithmic(ax)
     keys, values = [], []
     for name, (label, color, marker) in _CURVES.items():
-        robots, seconds = costs(data["cases"], name)
+        robots, seconds = step_seconds(data["cases"], name)
         ax.plot(robots, seconds, linestyle="none", color=color, marker=marker, markersize=5.5, zorder=3)
         values += seconds
         fits = [fit for fit in data["fits"] if fit["name"] == name]

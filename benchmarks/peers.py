@@ -10,7 +10,7 @@ from typing import Any
 
 import jax
 
-from benchmarks.timing import Case
+from benchmarks.measure import Case
 
 __all__ = ["JAXMARL", "PART", "SB3", "VMAS", "peer_cases"]
 

@@ -10,37 +10,31 @@ from __future__ import annotations
 
 import argparse
 import platform
-import subprocess
-import sys
 from pathlib import Path
 
-from murmurate.runs import storage
+from murmurate.runs import experiment, files
+from murmurate.runs.execute import InProcess, run_jobs
+from murmurate.runs.folder import MANIFEST, METRICS, RunFolder
+from murmurate.runs.grid import Grid
+from murmurate.runs.jobs import training_jobs
 from murmurate.runs.pretrained import FOLDER
-from murmurate.runs.run import METRICS, Run
 
 EVERY = 10
 """Of the metrics, the package holds one row in so many: enough to draw how training went."""
 
 
-def train(experiment: Path, folder: Path) -> None:
-    """Runs one experiment, or goes on with it."""
-    words = ["discover", str(experiment), "--out", str(folder), "--resume"]
-    done = subprocess.run([sys.executable, "-m", "murmurate", *words], check=False)
-    if done.returncode not in (0, 3):
-        raise SystemExit(done.returncode)
-
-
 def pack(folder: Path, to: Path) -> None:
-    """Puts what is needed of a run into the package."""
-    run = Run.open(folder)
-    for name in run.manifest["checksums"]:
-        storage.make_folder((to / name).parent)
-        storage.write_bytes(to / name, (folder / name).read_bytes())
-    rows = (folder / METRICS).read_text("utf-8").splitlines(keepends=True)
-    storage.write_text(to / METRICS, "".join(rows[EVERY - 1 :: EVERY]))
+    """Copies what the package needs of a run."""
+    run, copy = RunFolder(folder), RunFolder(to)
+    manifest = run.verify()
+    for name in manifest["checksums"]:
+        files.make_folder((to / name).parent)
+        files.write_bytes(to / name, (folder / name).read_bytes())
+    (to / METRICS).unlink(missing_ok=True)
+    copy.append_metrics(run.metrics()[EVERY - 1 :: EVERY])
     # Not the kernel of the machine that happened to train them.
-    kept = {**run.manifest, "platform": f"{platform.system()} {platform.machine()}"}
-    storage.write_json(to / storage.MANIFEST, kept)
+    platform_name = f"{platform.system()} {platform.machine()}"
+    files.write_json(to / MANIFEST, {**manifest, "platform": platform_name})
 
 
 def main() -> None:
@@ -48,12 +42,13 @@ def main() -> None:
     parser.add_argument("--runs", type=Path, default=Path("runs"), help="where the runs are kept")
     parser.add_argument("--only-finished", action="store_true", help="train nothing, pack what is finished")
     options = parser.parse_args()
-    for to in sorted(path.parent for path in FOLDER.glob(f"*/*/{storage.EXPERIMENT}")):
-        name = f"{to.parent.name}-{to.name}"
-        folder = options.runs / f"pretrained-{name}"
-        if not options.only_finished:
-            train(to / storage.EXPERIMENT, folder)
-        pack(folder, to)
+    folders = sorted(path.parent for path in FOLDER.glob(f"*/*/{experiment.EXPERIMENT}"))
+    names = {f"pretrained-{to.parent.name}-{to.name}": to for to in folders}
+    if not options.only_finished:
+        grid = Grid({name: experiment.load(to) for name, to in names.items()})
+        run_jobs(training_jobs(grid, options.runs), InProcess())
+    for name, to in names.items():
+        pack(options.runs / name, to)
         print(f"packed {name}: {sum(path.stat().st_size for path in to.rglob('*') if path.is_file())} bytes")
 
 

@@ -1,4 +1,4 @@
-"""Writes the figures as Markdown, between the marks of a page."""
+"""Turns timings into numbers, and the numbers into Markdown, between the marks of a page."""
 
 from __future__ import annotations
 
@@ -7,70 +7,121 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks import ceilings, peers, pieces
+import numpy as np
+
+from benchmarks import peers, pieces
 from benchmarks.cases import RESTARTS, SENSING, SIZED, STEP, TRAINING
+from benchmarks.machine import CEILING
+from benchmarks.measure import Timing
 from murmurate.runs.table import as_markdown
 
-__all__ = ["machine_line", "markdown", "speed_table", "write"]
+__all__ = ["RANGES", "exponent", "fits", "markdown", "records", "step_seconds", "write"]
+
+RANGES = ((4, 32), (128, 1024))
+"""Ranges of swarm sizes over which exponents are fitted."""
 
 BEGIN, END = "<!-- begin: make benchmark -->", "<!-- end: make benchmark -->"
-ALIKE = "(see above)"
 Rows = Sequence[Mapping[str, Any]]
+
+
+def records(timings: Sequence[Timing]) -> list[dict[str, Any]]:
+    """Returns the numbers of every case; `ratio` is to JaxMARL in as many worlds, None without it.
+
+    A ceiling is the best of its runs; all other numbers are medians.
+    """
+    base = {timing.case.worlds: timing.rate for timing in timings if timing.case.name == peers.JAXMARL}
+    rows = []
+    for timing in timings:
+        case = timing.case
+        seconds = min(timing.runs) if case.part == CEILING else timing.seconds
+        comparable = case.unit == "steps" and case.robots == peers.AGENTS and case.worlds in base
+        rows.append(
+            {
+                "part": case.part,
+                "name": case.name,
+                "robots": case.robots,
+                "worlds": case.worlds,
+                "unit": case.unit,
+                "work": case.work,
+                "seconds": seconds,
+                "per_second": case.work / seconds,
+                "spread": round(timing.spread, 3),
+                "ratio": round(timing.rate / base[case.worlds], 3) if comparable else None,
+                "compile_seconds": round(timing.compile, 2),
+            }
+        )
+    return rows
+
+
+def step_seconds(cases: Rows, name: str) -> tuple[list[int], list[float]]:
+    """Returns swarm sizes, and the seconds of one step of one world in the largest batch timed."""
+    largest: dict[int, Mapping[str, Any]] = {}
+    for row in _of(cases, SIZED, name):
+        if row["worlds"] >= largest.get(row["robots"], row)["worlds"]:
+            largest[row["robots"]] = row
+    sizes = sorted(largest)
+    return sizes, [1 / largest[robots]["per_second"] for robots in sizes]
+
+
+def exponent(robots: Sequence[float], seconds: Sequence[float]) -> float:
+    """Returns the exponent of N in the cost: the slope of the least-squares line through the logarithms."""
+    return float(np.polyfit(np.log(robots), np.log(seconds), 1)[0])
+
+
+def fits(cases: Rows) -> list[dict[str, Any]]:
+    """Returns the exponents over each range in which at least two sizes were timed."""
+    rows = []
+    for name in (STEP, SENSING):
+        sizes, seconds = step_seconds(cases, name)
+        for low, high in RANGES:
+            inside = [index for index, robots in enumerate(sizes) if low <= robots <= high]
+            if len(inside) > 1:
+                power = exponent([sizes[index] for index in inside], [seconds[index] for index in inside])
+                ends = {"low": sizes[inside[0]], "high": sizes[inside[-1]]}
+                rows.append({"name": name, **ends, "exponent": round(power, 3)})
+    return rows
 
 
 def markdown(data: Mapping[str, Any], picture: str | None = None) -> str:
     """Returns the whole section.
 
     Args:
-        data: What was measured.
-        picture: Path of the figure from the page, if it is to be shown.
+        data: The content of the JSON file.
+        picture: Path of the figure relative to the page; None to leave it out.
     """
     cases = data["cases"]
     parts = [
         machine_line(data["machine"]),
         f"Medians of {data['repeats']} rounds in which the cases take turns, {data['seconds'] / 60:.0f} minutes in "
-        "all; ± is half the range of the middle half.",
+        "all; ± is half the interquartile range.",
         *([f"![Cost of a step against the number of robots]({picture})"] if picture else []),
-        "### Aims\n\n" + _aims(data["aims"]),
         "### Ten robots\n\n" + speed_table(cases),
         "### Swarms of other sizes\n\n" + _sizes(cases) + "\n" + _fits(data["fits"]),
         "### Where the time of an update goes\n\n" + _pieces(cases, data["updates"]),
-        "### The machine's ceilings, and floors counted by hand\n\n"
-        + _ceilings(cases)
-        + "\n"
-        + _floors(data["floors"]),
+        "### Operations, as the compiler counts them\n\n" + _costs(data["costs"], cases, data["updates"]),
+        "### The machine's ceilings\n\n" + _ceilings(cases),
         "### Peak memory\n\n" + _memory(data["memory"]),
     ]
     if data["left_out"]:
-        parts.append("Left out, as they do not fit in memory: " + "; ".join(data["left_out"]) + ".")
+        parts.append("Left out, because they do not fit in memory: " + "; ".join(data["left_out"]) + ".")
     return "\n".join(_wrapped(line) for line in "\n\n".join(part.strip("\n") for part in parts).splitlines()) + "\n"
 
 
 def _wrapped(line: str) -> str:
-    """Breaks a long line of text, as the rest of the page is broken; a table's stays."""
+    """Breaks a long line of text as in the rest of the page, but not the row of a table."""
     return line if line.startswith("|") else textwrap.fill(line, 140, break_long_words=False, break_on_hyphens=False)
 
 
 def machine_line(about: Mapping[str, Any]) -> str:
-    """Names the machine on one line."""
+    """Returns the machine and the versions on one line."""
     versions = ", ".join(f"{name} {version}" for name, version in about["versions"].items())
     device = f"{about['device']}, " if about["device"] else ""
     memory = f"{about['memory_bytes'] / 2**30:.0f} GiB, " if about["memory_bytes"] else ""
     return f"{device}{about['processor']}, {about['cores']} cores, {memory}{about['system']}; {versions}."
 
 
-def _aims(rows: Rows) -> str:
-    cells = []
-    for row in rows:
-        wanted = f"{'at least' if row['at_least'] else 'at most'} {_number(row['wanted'])}"
-        if row["above_floor"] is not None:
-            wanted += f", or within twice the floor (here {row['above_floor']:.1f} times)"
-        cells.append((row["what"], wanted, _number(row["reached"]), "yes" if row["met"] else "no"))
-    return as_markdown(("aim", "wanted", "reached", "met"), cells)
-
-
 def speed_table(cases: Rows) -> str:
-    """Returns the speeds of ten robots, beside other projects."""
+    """Returns the speeds of ten robots and of other projects."""
     names = (STEP, RESTARTS)
     wanted = [row for row in cases if row["robots"] == 10 and row["name"] in names and row["worlds"] > 1]
     wanted += [row for row in cases if row["part"] in (peers.PART, TRAINING)]
@@ -86,19 +137,22 @@ def speed_table(cases: Rows) -> str:
 
 
 def _sizes(cases: Rows) -> str:
-    """Steps a second by swarm size and batch; of the largest batch also the time of a step, and of sensing."""
+    """Returns steps per second by swarm size and batch; and times of a step and of sensing in the largest batch."""
     steps = {(row["robots"], row["worlds"]): row for row in cases if (row["part"], row["name"]) == (SIZED, STEP)}
-    looks = {row["robots"]: row for row in cases if row["name"] == SENSING}
+    sensing = {row["robots"]: row for row in cases if row["name"] == SENSING}
     counts = sorted({worlds for _, worlds in steps})
     header = ("N", *(f"{worlds:,}" for worlds in counts), "a step, µs", "sensing, µs", "compiling, s")
     cells = []
-    for robots in sorted(looks):
-        mine = {worlds: row for (size, worlds), row in steps.items() if size == robots}
-        speeds = [f"{mine[worlds]['per_second']:,.0f}" if worlds in mine else "" for worlds in counts]
-        last, look = mine[max(mine)], looks[robots]
-        times = [f"{1e6 / row['per_second']:,.2f}" for row in (last, look)]
+    for robots in sorted(sensing):
+        by_worlds = {worlds: row for (size, worlds), row in steps.items() if size == robots}
+        speeds = [f"{by_worlds[worlds]['per_second']:,.0f}" if worlds in by_worlds else "" for worlds in counts]
+        last = by_worlds[max(by_worlds)]
+        times = [f"{1e6 / row['per_second']:,.2f}" for row in (last, sensing[robots])]
         cells.append((f"{robots:,}", *speeds, *times, f"{last['compile_seconds']:.1f}"))
-    note = "World steps a second by the number of worlds side by side; times and compiling are of the most worlds.\n\n"
+    note = (
+        "World steps per second, by the number of parallel worlds; the times and compiling are those of the largest "
+        "number.\n\n"
+    )
     return note + as_markdown(header, cells)
 
 
@@ -108,7 +162,7 @@ def _fits(rows: Rows) -> str:
 
 
 def _pieces(cases: Rows, updates: int) -> str:
-    """Milliseconds of each part of an update and its share of the whole, policy by policy."""
+    """Returns the milliseconds of each part of an update and its fraction of the whole, for every policy."""
     kinds = [row["name"].split()[0] for row in cases if row["part"] == TRAINING]
     wholes = {row["name"].split()[0]: row["seconds"] / updates for row in cases if row["part"] == TRAINING}
     times = {row["name"]: row["seconds"] for row in cases if row["part"] == pieces.PART}
@@ -124,9 +178,9 @@ def _pieces(cases: Rows, updates: int) -> str:
     cells.append(("everything else", *(cell(kind, wholes[kind] - explained[kind]) for kind in kinds)))
     cells.append(("the whole update", *(cell(kind, wholes[kind]) for kind in kinds)))
     note = (
-        "Milliseconds; each part is a program of its own, on what it works on in training. Everything else "
-        "(advantages, shuffling, Adam, metrics) is what the whole takes longer than its parts, negative where it "
-        "shares their work.\n\n"
+        "Milliseconds; each part is timed as its own program, on the data of a training. Everything else (advantages, "
+        "shuffling, Adam, metrics) is the difference between the whole and its parts; it is negative if the whole "
+        "shares work between parts.\n\n"
     )
     return note + as_markdown(("part", *kinds), cells)
 
@@ -137,20 +191,35 @@ def _explained(kind: str, times: Mapping[str, float]) -> float:
 
 
 def _ceilings(cases: Rows) -> str:
-    found = [row for row in cases if row["part"] == ceilings.PART]
     units = {"operations": "G operations/s", "bytes": "GB/s"}
-    cells = [(row["name"], f"{row['per_second'] / 1e9:,.1f} {units[row['unit']]}") for row in found]
-    return as_markdown(("kind of work, alone", "at best"), cells)
+    cells = [(row["name"], f"{row['per_second'] / 1e9:,.1f} {units[row['unit']]}") for row in _of(cases, CEILING)]
+    return as_markdown(("kind of work", "at best"), cells)
 
 
-def _floors(rows: Rows) -> str:
-    header = ("what", "in products", "plain", "roots", "functions", "bytes", "floor", "measured", "measured / floor")
+def _costs(costs: Rows, cases: Rows, updates: int) -> str:
+    header = ("what", "operations", "functions", "bytes", "measured", "G operations/s")
     cells = []
-    for row in rows:
-        amounts = [f"{row['counts'][name]:,.4g}" for name in ("products", "plain", "roots", "functions", "bytes")]
-        times = [_duration(row[name]) for name in ("floor_seconds", "measured_seconds")]
-        cells.append((row["name"], *amounts, f"{times[0]} ({row['bound']})", times[1], f"{row['ratio']:.1f}"))
-    return as_markdown(header, cells)
+    for row in costs:
+        seconds = _measured(row, cases, updates)
+        if seconds is None:
+            continue
+        amounts = [f"{row[name]:,.3g}" for name in ("operations", "functions", "bytes")]
+        cells.append((row["name"], *amounts, _duration(seconds), f"{row['operations'] / seconds / 1e9:.1f}"))
+    note = (
+        "One step of one world, and one update: sensing, world steps, both networks forward and both gradients. "
+        "Functions are exponentials, tangents and the like. Bytes are those that the fused parts of the program read "
+        "and write, mostly in caches.\n\n"
+    )
+    return note + as_markdown(header, cells)
+
+
+def _measured(cost: Mapping[str, Any], cases: Rows, updates: int) -> float | None:
+    """Returns the measured seconds of one step of one world, or of one update; None if it was not timed."""
+    if cost["part"] == TRAINING:
+        rows = [row for row in _of(cases, TRAINING) if row["name"].startswith(cost["kind"])]
+        return rows[0]["seconds"] / updates if rows else None
+    rows = [row for row in _of(cases, SIZED, STEP, cost["robots"]) if row["worlds"] == cost["worlds"]]
+    return 1 / rows[0]["per_second"] if rows else None
 
 
 def _memory(rows: Rows) -> str:
@@ -173,9 +242,15 @@ def _number(value: float) -> str:
 
 
 def write(path: Path, text: str) -> None:
-    """Replaces the part of a page that stands between the two marks; a page without them gets them at its end."""
+    """Replaces the part of a page between the two marks; a page without them gets them at its end."""
     page = path.read_text(encoding="utf-8") if path.exists() else "# Benchmarks\n"
     if BEGIN not in page or END not in page:
         page = f"{page.rstrip()}\n\n{BEGIN}\n{END}\n"
     before, after = page.split(BEGIN, 1)[0], page.split(END, 1)[1]
     path.write_text(f"{before}{BEGIN}\n{text}{END}{after}", encoding="utf-8")
+
+
+def _of(cases: Rows, part: str, name: str | None = None, robots: int | None = None) -> list[Mapping[str, Any]]:
+    return [
+        row for row in cases if row["part"] == part and name in (None, row["name"]) and robots in (None, row["robots"])
+    ]

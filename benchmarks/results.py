@@ -6,9 +6,6 @@ python -m benchmarks.results [--runs runs] [--out docs] [--seeds 0 1 2] [--only-
 from __future__ import annotations
 
 import argparse
-import subprocess
-import sys
-from dataclasses import replace
 from pathlib import Path
 
 import jax
@@ -19,9 +16,10 @@ from murmurate import plots
 from murmurate.discovery import bound_steps, check_validity
 from murmurate.runs import comparison_page, table
 from murmurate.runs.evaluate import EPISODES
-from murmurate.runs.experiment import check_same
+from murmurate.runs.execute import InProcess, run_jobs
+from murmurate.runs.grid import Grid
+from murmurate.runs.jobs import training_jobs
 from murmurate.runs.paper import EXPERIMENTS
-from murmurate.runs.presets import preset
 from murmurate.runs.run import Run
 from murmurate.world import StartConfig, draw_starts, make_start
 
@@ -36,14 +34,6 @@ OTHER_STARTS = {
     "two lines": StartConfig(kind="packed", lines=2),
     "one line, noise R": StartConfig(kind="packed", noise=1.0),
 }
-
-
-def train(folder: Path, experiment: str, policy: str, seed: int) -> None:
-    """Runs one experiment, or goes on with it."""
-    words = ["discover", experiment, "--policy", policy, "--seed", str(seed), "--out", str(folder), "--resume"]
-    done = subprocess.run([sys.executable, "-m", "murmurate", *words], check=False)
-    if done.returncode not in (0, 3):
-        raise SystemExit(done.returncode)
 
 
 def other_starts(run: Run) -> list[str]:
@@ -66,13 +56,14 @@ def write(runs: list[Path], out: Path) -> None:
     figures = out / "figures"
     figures.mkdir(parents=True, exist_ok=True)
     firsts = [folder for folder in runs if folder.name.endswith("equivariant-seed0")]
-    records = [plots.Record.open(folder) for folder in firsts]
-    plots.save(plots.patterns_figure(records, [record.name for record in records]), figures / "patterns.png", dpi=110)
-    for record in records:
-        if record.name == "C":
-            plots.save(plots.discovery_figure(record), figures / "discovery-C.png", dpi=110)
+    recordings = [plots.Recording.open(folder) for folder in firsts]
+    names = [recording.experiment.name for recording in recordings]
+    plots.save(plots.patterns_figure(recordings, names), figures / "patterns.png", dpi=110)
+    for recording in recordings:
+        if recording.experiment.name == "C":
+            plots.save(plots.discovery_figure(recording), figures / "discovery-C.png", dpi=110)
     rows = table.results(runs)
-    others = [(record.name, *other_starts(murmurate.load(str(f)))) for record, f in zip(records, firsts, strict=True)]
+    others = [(name, *other_starts(murmurate.load(folder))) for name, folder in zip(names, firsts, strict=True)]
     page = PAGE.format(
         machine=machine(runs[0]),
         results=table.as_markdown(table.RESULTS, rows),
@@ -114,7 +105,7 @@ beside the paper's tables and figures, and all of their numbers in [report.json]
 {results}
 ![The patterns that the equivariant policy found in experiments A to F](figures/patterns.png)
 
-The ways are coloured by the policy in charge: the base policy's blue, the auxiliary policy's green, a third one's pink.
+The colour of a path names the active policy: blue for the base policy, green for the auxiliary one, pink for a third.
 
 ## Other starts
 
@@ -137,17 +128,13 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
     parser.add_argument("--only-finished", action="store_true", help="train nothing: write what the finished runs show")
     options = parser.parse_args()
-    wanted = [(e, p, s) for p in POLICIES for e in EXPERIMENTS for s in options.seeds]
-    folders = {options.runs / f"{e}-{p}-seed{s}": (e, p, s) for e, p, s in wanted}
+    grids = [Grid.product(list(EXPERIMENTS), learners=[policy], seeds=options.seeds) for policy in POLICIES]
+    grid = sum(grids[1:], grids[0])
     if not options.only_finished:
-        for folder, what in folders.items():
-            train(folder, *what)
-    finished = [folder for folder in folders if (folder / "manifest.json").is_file()]
+        run_jobs(training_jobs(grid, options.runs), InProcess())
+    finished = [options.runs / name for name, held in grid.check(options.runs).items() if held == "finished"]
     if not finished:
         raise SystemExit(f"no finished run in {options.runs}")
-    for folder in finished:
-        experiment, policy, seed = folders[folder]
-        check_same(replace(preset(experiment, policy), seed=seed), folder)
     write(finished, options.out)
 
 

@@ -6,8 +6,6 @@ python -m benchmarks.seeds [--runs runs/seeds] [--out docs] [--seeds 16] [--expe
 from __future__ import annotations
 
 import argparse
-import subprocess
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,6 +17,9 @@ from murmurate.analysis.optimum.polish import polish
 from murmurate.analysis.optimum.search import Formation, OptimumConfig, annealed
 from murmurate.runs import catalogues, table
 from murmurate.runs.evaluate import EPISODES
+from murmurate.runs.execute import LocalProcesses, run_jobs
+from murmurate.runs.grid import Grid
+from murmurate.runs.jobs import training_jobs
 from murmurate.runs.paper import EXPERIMENTS
 from murmurate.runs.presets import preset
 
@@ -50,15 +51,6 @@ class Study:
     unseen: tuple[PatternClass, ...]
     tightened: tuple[PatternClass, ...]
     missed: tuple[PatternClass, ...]
-
-
-def train(experiment: str, seeds: int, runs: Path) -> None:
-    """Trains the seeds of one experiment, or goes on with them."""
-    words = ["discover", experiment, "--seeds", str(seeds), "--out", str(runs), "--resume"]
-    words += ["--base.ppo.worlds", str(WORLDS), "--auxiliary.ppo.worlds", str(WORLDS)]
-    done = subprocess.run([sys.executable, "-m", "murmurate", *words], check=False)
-    if done.returncode not in (0, 3):
-        raise SystemExit(done.returncode)
 
 
 def study(experiment: str, seeds: int, runs: Path) -> Study:
@@ -194,8 +186,10 @@ def main() -> None:
     parser.add_argument("--only-finished", action="store_true", help="train nothing")
     options = parser.parse_args()
     if not options.only_finished:
-        for experiment in options.experiments:
-            train(experiment, options.seeds, options.runs)
+        worlds = {"base.ppo.worlds": WORLDS, "auxiliary.ppo.worlds": WORLDS}
+        grid = Grid.product(options.experiments, seeds=options.seeds, fields=worlds)
+        # One core each: the number of threads changes the last bits of a training.
+        run_jobs(training_jobs(grid, options.runs), LocalProcesses())
     if options.only_train:
         return
     studies = [study(experiment, options.seeds, options.runs) for experiment in options.experiments]

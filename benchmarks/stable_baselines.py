@@ -20,7 +20,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.vec_env import VecNormalize
 
-from murmurate.discovery import Discovery
+from murmurate.discovery import Search
 from murmurate.interop.gymnasium import ENV_ID
 from murmurate.runs import presets
 from murmurate.world import WorldConfig, scaled_to
@@ -74,14 +74,14 @@ def ours(updates: int, seed: int) -> Iterator[Row]:
     fields = {
         "objective": "C1",
         "world": sizes,
-        "start": {"kind": "random"},
-        "policy": {"kind": "central", "hidden": [64, 64]},
+        "start": {"use": "random"},
+        "policy": {"use": "central", "hidden": [64, 64]},
         "base": stage,
         "seed": seed,
         "discovery": {"min_policies": 1, "max_policies": 1, "chunk": 10},
     }
-    discovery = Discovery(presets.resolve("C", fields))
-    snapshot, seconds, policy = discovery.begin(), 0.0, None
+    search = Search(presets.resolve("C", fields))
+    snapshot, seconds, policy = search.begin(), 0.0, None
 
     def act(positions: np.ndarray) -> np.ndarray:
         assert policy is not None
@@ -89,7 +89,7 @@ def ours(updates: int, seed: int) -> Iterator[Row]:
 
     while not snapshot.policies:
         begun = time.perf_counter()
-        snapshot, rows = discovery.advance(snapshot)
+        snapshot, rows = search.advance(snapshot)
         policy = snapshot.train.policy if snapshot.train is not None else snapshot.policies[0]
         float(policy.log_std.sum())  # waits for the end of the work
         seconds += time.perf_counter() - begun

@@ -12,7 +12,6 @@ __all__ = [
     "GREATEST",
     "MOST",
     "BeyondTrainingWarning",
-    "HostError",
     "InputError",
     "RunError",
     "UsageError",
@@ -47,17 +46,6 @@ class RunError(Exception):
 
     def __init__(self, message: str) -> None:
         super().__init__(_one_line(message))
-
-
-class HostError(RunError):
-    """Another of the hosts that train together is gone."""
-
-    def __init__(self, reason: str = "") -> None:
-        super().__init__(
-            "another host is gone or cannot be reached, and the training has ended with it: the run stands as its last "
-            "checkpoint left it, and goes on when all hosts give the same command with --resume"
-            + (f" ({reason})" if reason else "")
-        )
 
 
 class UsageError(Exception):

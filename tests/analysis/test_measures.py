@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from murmurate.analysis import convex_layers, nearest_distances, visibility_margin
+from murmurate.analysis.measures import fit_line
 from murmurate.errors import InputError
 from murmurate.geometry import visible
 from oracles.configurations import disjoint
@@ -120,3 +121,22 @@ def test_no_such_configuration(bad):
 def test_no_such_radius(bad):
     with pytest.raises(InputError, match=r"^radius = "):
         visibility_margin(ring(3), bad)
+
+
+@given(st.floats(-100, 100), st.floats(-100, 100), st.lists(st.integers(2, 40), min_size=3, max_size=8, unique=True))
+def test_a_line_is_found(slope, intercept, robots):
+    line = fit_line(robots, [slope * n + intercept for n in robots])
+    assert line.slope == pytest.approx(slope, abs=1e-6)
+    assert line.intercept == pytest.approx(intercept, abs=1e-5)
+
+
+def test_the_line_explains_what_it_explains():
+    assert fit_line([4, 5, 6, 7], [1.0, -1.0, -1.0, 1.0]).r_squared == pytest.approx(0, abs=1e-9)
+    assert fit_line([4, 5, 6], [8.0, 10.0, 12.0]).r_squared == pytest.approx(1)
+
+
+@pytest.mark.parametrize(
+    ("robots", "steps"), [([4, 6], [1.0, 2.0]), ([4] * 3, [1.0] * 3), ([4, 5, 6], [1, math.nan, 2])]
+)
+def test_too_little_makes_no_line(robots, steps):
+    assert fit_line(robots, steps) is None

@@ -4,10 +4,12 @@ import shutil
 
 import pytest
 
+from murmurate import plots
 from murmurate.cli.main import main
 from murmurate.report import plan as planning
 from murmurate.report.plan import Plan, PlannedRun
-from murmurate.runs import storage, train
+from murmurate.runs import files, train
+from murmurate.runs.folder import RunFolder
 from murmurate.runs.paper import EXPERIMENTS
 from tiny import tiny
 
@@ -37,7 +39,7 @@ def work(tmp_path, monkeypatch):
 
     monkeypatch.setattr(planning, "make_plan", make_plan)
     for name in ("robot", "visibility", "training", "reward", "formation", "patterns", "growth"):
-        monkeypatch.setattr(view, f"{name}_figure", lambda *_: Figure(figsize=(0.2, 0.1)))
+        monkeypatch.setattr(plots, f"{name}_figure", lambda *_: Figure(figsize=(0.2, 0.1)))
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -57,10 +59,10 @@ def test_finished_runs_become_a_report(finished, capsys):
     assert main(["reproduce"]) == 0
     out, err = capsys.readouterr()
     assert err == ""
-    assert out.startswith("2 runs in runs: 2 finished, 0 to go on with, 0 to train\nrun 1 of 2: tiny, central: ")
+    assert out.startswith("2 runs in runs: 2 finished, 0 to go on with, 0 to train\ndrawing the report\n")
     assert "report: reproduction/report.html, reproduction/report.md\nnumbers: reproduction/report.json\n" in out
     assert contents(finished / "runs") == before
-    assert storage.read_json("reproduction/report.json")["command"] == "murmurate reproduce"
+    assert files.read_json("reproduction/report.json")["command"] == "murmurate reproduce"
 
 
 def test_options_are_in_the_command_of_the_report(finished):
@@ -68,7 +70,7 @@ def test_options_are_in_the_command_of_the_report(finished):
     words = ["reproduce", "--quick", "--out", "here", "--runs", "my runs", "--seed", "4"]
     assert main(words) == 0
     assert planning.make_plan.seen == (4, True)
-    numbers = storage.read_json("here/report.json")
+    numbers = files.read_json("here/report.json")
     assert (numbers["command"], numbers["quick"]) == (
         "murmurate reproduce --quick --out here --runs 'my runs' --seed 4",
         True,
@@ -90,16 +92,16 @@ def test_an_interrupted_command_goes_on(work, trained, capsys, monkeypatch):
         left[0] -= 1
         return advance(*args)
 
-    monkeypatch.setattr(training, "advance_together", interrupted)
+    monkeypatch.setattr(train, "advance_together", interrupted)
     assert main(["reproduce"]) == 130
     out, err = capsys.readouterr()
     assert out == "2 runs in runs: 0 finished, 0 to go on with, 2 to train\n"
     assert err == "murmurate: interrupted; the same command goes on: murmurate reproduce\n"
-    monkeypatch.setattr(training, "advance_together", advance)
+    monkeypatch.setattr(train, "advance_together", advance)
     assert main(["reproduce"]) == 0
     assert "2 runs in runs: 0 finished, 1 to go on with, 1 to train\n" in capsys.readouterr().out
     for name in NAMES:
-        checksums = [storage.read_manifest(runs / name)["checksums"] for runs in (work / "runs", trained)]
+        checksums = [RunFolder(runs / name).manifest()["checksums"] for runs in (work / "runs", trained)]
         assert checksums[0] == checksums[1]
 
 
@@ -116,7 +118,7 @@ def test_an_interrupted_command_goes_on(work, trained, capsys, monkeypatch):
     ],
 )
 def test_refused_before_anything_is_trained(work, capsys, monkeypatch, words, line):
-    monkeypatch.setattr(training, "advance_together", None)
+    monkeypatch.setattr(train, "advance_together", None)
     for path in ("mine", "bad/tiny-equivariant-seed1"):
         (work / path).mkdir(parents=True)
         (work / path / "notes.txt").write_text("mine")

@@ -112,6 +112,30 @@ def test_show_needs_no_run(tmp_path, capsys):
     refused(capsys, ["show", "--robots", "5", "--out", out], "holds another run")
 
 
+def test_show_writes_the_animation_alone(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    for _ in range(2):  # nothing stands in the way of doing it again
+        assert main(["show", "--robots", "4", "--start", "packed", "--animation", "new/swarm.webp"]) == 0
+    assert "animation: new/swarm.webp\n" in capsys.readouterr().out
+    assert sorted(str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*")) == ["new", "new/swarm.webp"]
+    assert (tmp_path / "new" / "swarm.webp").read_bytes()[8:12] == b"WEBP"
+
+
+@pytest.mark.parametrize(
+    ("words", "part"),
+    [
+        (["--animation", "a.avi"], "--animation = 'a.avi': must be a name that ends in .gif, .webp, .mp4"),
+        (["--animation", "a.gif", "--mp4"], "--animation names the only file to write"),
+        (["--animation", "a.gif", "--out", "b"], "--animation names the only file to write"),
+        (["run", "other", "--out", "b", "--episode", "1"], "of several runs, only the patterns are drawn"),
+    ],
+)
+def test_flags_of_show_that_do_not_go_together(words, part, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    refused(capsys, ["show", *words], part)
+    assert not any(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize(
     ("words", "parts"),
     [

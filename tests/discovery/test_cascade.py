@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -12,7 +11,7 @@ from handmade import approach, shake
 
 from murmurate.discovery import Cascade, RestRule
 from murmurate.errors import InputError
-from murmurate.world import JitteredStart, World, WorldConfig
+from murmurate.world import JitteredStart, World, WorldConfig, with_array_leaves
 from oracles import signals as oracle
 
 CONFIG = WorldConfig(robots=2, half_width=20.0, half_height=20.0, scan_radius=100.0, safe_distance=5.0)
@@ -21,9 +20,7 @@ RULE = RestRule(window=WINDOW, tolerance=1e-4, switch_tolerance=1e-3, max_steps=
 
 
 def world():
-    sizes = {"half_width": CONFIG.half_width, "half_height": CONFIG.half_height, "radius": CONFIG.radius}
-    start = JitteredStart(jnp.zeros((1, 2, 2)), 0.0, **sizes)
-    return jax.tree.map(jnp.asarray, World.create(CONFIG, start, "C2", horizon=3))
+    return with_array_leaves(World.create(CONFIG, JitteredStart(jnp.zeros((1, 2, 2))), "C2", horizon=3))
 
 
 def run(policies, *distances, rule=RULE):

@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from murmurate.discovery import Trajectories, bound_steps, check_validity
-from murmurate.world import WorldConfig
+from murmurate.world import Signal, WorldConfig
 
 WORLD = WorldConfig(robots=6, half_width=35.0, half_height=35.0, scan_radius=30.0, safe_distance=5.0)
-FLAGS = ("collision_free", "mutually_visible", "gathered", "safe", "at_rest")
+FLAGS = ("contact_free", "inside", "mutually_visible", "gathered", "safe", "at_rest")
 
 
 def ring(radius=8.0, angles=tuple(range(0, 360, 60))):
@@ -28,7 +28,7 @@ def with_robot(number, place, configuration=None):
 
 
 def validity(*configurations, at_rest=True):
-    """Judges one episode that goes through the given configurations."""
+    """Checks one episode that goes through the given configurations."""
     positions = np.stack(configurations).astype(np.float32)[None]
     steps = np.array([len(configurations) - 1])
     none = np.zeros((1, 0), int)
@@ -67,17 +67,17 @@ def test_not_at_rest():
 
 def test_two_robots_swap_through_each_other():
     """Both end points are the same valid ring."""
-    assert_fails(validity(ring(), ring()[[3, 1, 2, 0, 4, 5]]), "collision_free")
-    assert_fails(validity(ring(), ring()[[3, 1, 2, 0, 4, 5]], ring()), "collision_free")
+    assert_fails(validity(ring(), ring()[[3, 1, 2, 0, 4, 5]]), "contact_free")
+    assert_fails(validity(ring(), ring()[[3, 1, 2, 0, 4, 5]], ring()), "contact_free")
 
 
 def test_a_robot_was_outside_for_a_moment():
-    assert_fails(validity(ring(), with_robot(0, (35.5, 0)), ring()), "collision_free")
+    assert_fails(validity(ring(), with_robot(0, (35.5, 0)), ring()), "inside")
     assert_fails(validity(ring(), with_robot(0, (35.0, 0)), ring()))
 
 
 def test_two_robots_touched_on_the_way():
-    assert_fails(validity(ring(), with_robot(0, (6.0, 0), with_robot(1, (6.0, 2.0))), ring()), "collision_free")
+    assert_fails(validity(ring(), with_robot(0, (6.0, 0), with_robot(1, (6.0, 2.0))), ring()), "contact_free")
     assert_fails(validity(ring(), with_robot(0, (6.0, 0), with_robot(1, (6.0, 2.1))), ring()))
 
 
@@ -94,7 +94,24 @@ def test_every_episode_is_judged_for_itself():
     np.testing.assert_array_equal(judged.gathered, [True, True, False, True, True])
     np.testing.assert_array_equal(judged.safe, [True, True, True, False, True])
     np.testing.assert_array_equal(judged.at_rest, rest)
-    assert judged.collision_free.all()
+    assert judged.contact_free.all()
+    assert judged.inside.all()
+
+
+class Wide(Signal):
+    """Distance of the robots from the origin: a signal of a user's own."""
+
+    def __call__(self, configuration):
+        return np.sqrt((configuration.positions**2).sum(axis=1))
+
+
+def test_signals_of_ones_own_may_have_to_reach_a_value():
+    positions = np.stack([ring(), ring(9.0)])[:, None].astype(np.float32)
+    zeros = np.zeros(2, int)
+    ran = Trajectories(positions, zeros, np.zeros((2, 0), int), np.ones(2, bool), np.zeros(2, bool), {}, zeros)
+    judged = check_validity(ran, WORLD, {"wide": (Wide(), 8.5)})
+    np.testing.assert_array_equal(judged.signals["wide"], [False, True])
+    np.testing.assert_array_equal(judged.valid, [False, True])
 
 
 @given(seed=st.integers(0, 2**32 - 1), robots=st.integers(2, 6), whole=st.booleans())

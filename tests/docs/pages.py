@@ -19,7 +19,7 @@ from murmurate.cli import discover
 from murmurate.cli.main import VERBS, main
 from murmurate.cli.sweep import _parser
 from murmurate.runs import presets
-from murmurate.sweeps.plan import read_sweep
+from murmurate.runs.grid import Grid
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -82,7 +82,7 @@ class Reader:
         path = self.folder / name[1]
         path.write_text(text, "utf-8")
         if "experiments" in tomllib.loads(text):
-            read_sweep(path)
+            Grid.from_toml(path)
         else:
             presets.resolve(str(path))
 
@@ -110,7 +110,7 @@ class Reader:
         assert words[0] in VERBS, f"{self.page}: no verb {words[0]}"
         if words[0] == "sweep":  # which the tests of sweeps carry out
             _parser().parse(words[1:])
-            read_sweep(self.folder / words[1])
+            Grid.from_toml(self.folder / words[1])
             return
         if "--hosts" in words:  # which the tests of devices carry out
             discover._parser("C").parse(words[1:])

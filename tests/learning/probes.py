@@ -71,6 +71,7 @@ class Line(eqx.Module):
     """
 
     horizon: jax.Array
+    price: jax.Array = eqx.field(default_factory=lambda: jnp.ones(()))
 
     def reset_batch(self, key, batch):
         return jax.random.uniform(key, (batch,), minval=-1.5, maxval=1.5), jnp.zeros(batch, jnp.int32)
@@ -81,7 +82,7 @@ class Line(eqx.Module):
         x, age = state
         after = x + 0.25 * jnp.clip(action[0], -1, 1)
         terminated = jnp.abs(after) > 2
-        reward = jnp.where(terminated, -1.0, jnp.abs(x) - jnp.abs(after))
+        reward = self.price * jnp.where(terminated, -1.0, jnp.abs(x) - jnp.abs(after))
         truncated = (age + 1 >= self.horizon) & ~terminated
         return (after, age + 1), transition(reward, terminated, truncated, {"distance": jnp.abs(after)})
 
@@ -163,4 +164,4 @@ def begin(env, value, seed=0, worlds=CONFIG["worlds"], policy=None):
 def train(state, env, count, /, **numbers):
     """Runs `count` updates with `CONFIG`, changed by `numbers`."""
     config = PPOConfig(**{**CONFIG, **numbers})
-    return train_chunk(state, env, Hyperparameters.create(config), Shape.create(config), count)
+    return train_chunk(state, env, Hyperparameters.from_config(config), Shape.from_config(config), count)

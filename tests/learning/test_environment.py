@@ -7,7 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from probes import Line, clock, fresh, linear
 
-from murmurate.learning import ActionRepeat, collect, step_with_autoreset
+from murmurate.learning import collect, step_with_autoreset
+from murmurate.world import ActionRepeat
 
 restart = jax.jit(step_with_autoreset)
 

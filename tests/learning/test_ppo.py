@@ -1,9 +1,10 @@
-"""What an update changes and what it must not, to the bit; and that it solves something."""
+"""What an update changes and what it does not, to the bit; and that it solves a small problem."""
 
 from __future__ import annotations
 
 import dataclasses
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,7 +14,7 @@ import pytest
 from probes import Line, begin, fresh, parabola, train
 
 from murmurate.errors import InputError
-from murmurate.learning import Batch, Hyperparameters, PPOConfig, Schedule, collect
+from murmurate.learning import Batch, Hyperparameters, PPOConfig, Schedule, collect, set_log_std
 from murmurate.learning.ppo import _minibatches
 
 LINE = Line(jnp.asarray(10))
@@ -28,12 +29,12 @@ def leaves(tree):
 
 
 def same(first, second):
-    """Says whether two trees are equal to the bit."""
+    """Returns whether two trees are equal to the bit."""
     return all(np.array_equal(a, b) for a, b in zip(leaves(first), leaves(second), strict=True))
 
 
 def moved(before, after):
-    """Says whether every number of a tree changed."""
+    """Returns whether every number of a tree changed."""
     return all((a != b).all() for a, b in zip(leaves(before), leaves(after), strict=True))
 
 
@@ -54,7 +55,7 @@ def test_chunks_are_the_whole():
 
 
 def test_a_training_state_survives_the_host():
-    """Taken off the device and put back, as a checkpoint is, it goes on as if nothing had happened."""
+    """Taken off the device and put back, as a checkpoint is, it continues to the same bits."""
     half, _ = train(start(), LINE, 5)
     restored = jax.tree.map(jnp.asarray, jax.device_get(half))
     assert same(train(restored, LINE, 5)[0], train(half, LINE, 5)[0])
@@ -175,6 +176,42 @@ def test_a_scheduled_spread_is_that_of_its_schedule_and_a_learned_one_is_not():
     assert float(learned.policy.log_std) not in spreads
 
 
+class Plain(eqx.Module):
+    """A policy without the array `log_std`."""
+
+    slope: jax.Array
+
+    def distribution(self, observation):
+        return probes.Normal((self.slope * observation)[None], jnp.full((), -1.0))
+
+
+def test_a_policy_needs_no_log_std():
+    policy = Plain(jnp.zeros(()))
+    assert set_log_std(policy, -2.0) is policy
+    after, metrics = train(begin(LINE, parabola(), policy=policy), LINE, 3)
+    assert moved(policy, after.policy)
+    assert metrics["finite"].all()
+    with pytest.raises(InputError, match=r"^exploration = 'scheduled': must be learned for a policy that has no array"):
+        train(begin(LINE, parabola(), policy=policy), LINE, 3, exploration="scheduled")
+
+
+@pytest.mark.parametrize("broken", ["policy", "value", "reward"])
+def test_the_first_update_that_is_not_finite_is_marked(broken):
+    state, env = start(), LINE
+    if broken == "reward":
+        env = Line(jnp.asarray(10), price=jnp.asarray(jnp.inf))
+    else:
+        state = eqx.tree_at(lambda s: jax.tree.leaves(getattr(s, broken))[0], state, jnp.asarray(jnp.nan))
+    assert train(start(), LINE, 3)[1]["finite"].tolist() == [True, True, True]
+    assert train(state, env, 3)[1]["finite"].tolist() == [False, False, False]
+
+
+def test_an_overflow_is_marked_at_its_update():
+    """The rate of the second update sends the parameters beyond float32, not that of the first."""
+    rates = {"policy_rate": 0.0, "policy_rate_end": 1e30, "updates": 2}
+    assert train(start(), LINE, 2, **rates)[1]["finite"].tolist() == [True, False]
+
+
 @pytest.mark.parametrize("value", [-1.0, float("nan"), float("inf")])
 @pytest.mark.parametrize("field", [f.name for f in dataclasses.fields(PPOConfig) if f.type == "float"])
 def test_numbers_are_checked(field, value):
@@ -209,4 +246,4 @@ def test_no_such_learner(fields):
 
 def test_hyperparameters_are_arrays():
     """As plain numbers they would be compiled in."""
-    assert all(isinstance(x, jax.Array) for x in jax.tree.leaves(Hyperparameters.create(PPOConfig())))
+    assert all(isinstance(x, jax.Array) for x in jax.tree.leaves(Hyperparameters.from_config(PPOConfig())))

@@ -135,7 +135,7 @@ def ours(seed):
     returns, done = [], 0
     for check in (0, *CHECKS):
         if check > done:
-            hyper, shape = Hyperparameters.create(NUMBERS), Shape.create(NUMBERS)
+            hyper, shape = Hyperparameters.from_config(NUMBERS), Shape.from_config(NUMBERS)
             state, _ = train_chunk(state, env, hyper, shape, check - done)
         mean, done = eqx.filter_jit(state.policy.mean), check
         returns.append(mean_return(lambda place, mean=mean: np.asarray(mean(place[None]))))

@@ -18,7 +18,9 @@ def line(horizon):
 
 def chunk(seed=0, horizon=10, updates=5, **numbers):
     config, env = PPOConfig(**{**CONFIG, **numbers}), line(horizon)
-    return Chunk(begin(env, parabola(), seed), env, Hyperparameters.create(config), Shape.create(config), updates)
+    return Chunk(
+        begin(env, parabola(), seed), env, Hyperparameters.from_config(config), Shape.from_config(config), updates
+    )
 
 
 def assert_close(found, expected):

@@ -1,23 +1,16 @@
-"""A run folder made up for the pictures: robots walk from two corners to a ring, the last policies push it open."""
+"""A made-up run for the figures: robots move from two corners to a dented ring, and later policies push it open."""
 
-import json
-from pathlib import Path
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from murmurate import geometry
+from murmurate import geometry, plots
+from murmurate.runs.presets import preset
+from murmurate.types import Trajectories
 
 SIGNALS = {"C1": ("close", "safety", "neighbors", "visible"), "C2": ("nclose", "safety", "neighbors", "visible")}
-WORLD = {
-    "half_width": 45.0,
-    "half_height": 45.0,
-    "radius": 1.0,
-    "scan_radius": 20.0,
-    "safe_distance": 5.0,
-    "max_speed": 1.0,
-}
 
 
 def ring(robots, dents=(), size=8.5):
@@ -38,51 +31,44 @@ def start(robots, rng):
 def signals_of(positions, world, objective):
     """The definitions of design.md, written for (configurations, robots, 2)."""
     moved = np.moveaxis(positions, 0, -1)
-    robots, diagonal = len(moved), np.hypot(world["half_width"], world["half_height"])
+    robots, diagonal = len(moved), np.hypot(world.half_width, world.half_height)
     distance = geometry.distances(moved)
-    counts = geometry.counts(moved, world["radius"], world["scan_radius"])
+    near, seen = geometry.neighbors_and_visible(moved, world.radius, world.scan_radius)
     off = ~np.eye(robots, dtype=bool)
-    unsafe = np.sqrt(np.maximum(0, world["safe_distance"] - distance[off])).sum(axis=0)
+    unsafe = np.sqrt(np.maximum(0, world.safe_distance - distance[off])).sum(axis=0)
     close = {
         "C1": 1 - np.linalg.norm(moved, axis=1).mean(axis=0) / diagonal,
         "C2": 1 - distance[off].mean(axis=0) / (2 * diagonal),
     }[objective]
-    safety = 1 - unsafe / (robots * np.sqrt(world["safe_distance"]))
-    return np.stack([close, safety, *(c.mean(axis=0) / (robots - 1) for c in (counts.all, counts.vis))], axis=-1)
+    safety = 1 - unsafe / (robots * np.sqrt(world.safe_distance))
+    shares = [flags[off].mean(axis=0) for flags in (near, seen)]
+    return dict(zip(SIGNALS[objective], (close, safety, *shares), strict=True))
 
 
-def metrics(policies, objective, rng):
-    rows, steps = [], 0
+def training(policies, objective, rng):
+    curves, steps = [], 0
     for policy in range(policies):
-        for update in range(80 if policy == 0 else 50):
-            steps += 16384
-            rise = 1 - np.exp(-update / 12)
-            levels = np.array([[0.55, 0.9, 0.3, 0.25], [0.86, 0.95, 0.99, 0.8 + 0.06 * policy]])
-            if policy:
-                levels[0] = [0.85, 0.9, 0.97, 0.72]
-            values = levels[0] + (levels[1] - levels[0]) * rise + rng.normal(0, 0.006, 4)
-            rows.append(
-                {
-                    "policy": policy,
-                    "name": ("base", "auxiliary", "auxiliary 2", "auxiliary 3")[policy],
-                    "update": update,
-                    "environment_steps": steps,
-                    "reward": 0.01,
-                    "objective": float(values.sum()),
-                    "signals": dict(zip(SIGNALS[objective], values.tolist(), strict=True)),
-                }
-            )
-    return rows
+        updates = np.arange(80 if policy == 0 else 50)
+        first = [0.85, 0.9, 0.97, 0.72] if policy else [0.55, 0.9, 0.3, 0.25]
+        last = [0.86, 0.95, 0.99, 0.8 + 0.06 * policy]
+        rise = (1 - np.exp(-updates / 12))[:, None]
+        values = first + (np.array(last) - first) * rise + rng.normal(0, 0.006, (len(updates), 4))
+        name = ("base", "auxiliary", "auxiliary 2", "auxiliary 3")[policy]
+        signals = dict(zip(SIGNALS[objective], values.T, strict=True))
+        curves.append(plots.TrainingCurve(name, steps + 16384.0 * (updates + 1), signals))
+        steps += 16384 * len(updates)
+    return tuple(curves)
 
 
-def trajectories(policies, objective, world, robots, episodes, rng):
+def trajectories(policies, objective, world, episodes, rng):
+    robots = world.robots
     goals = [ring(robots, (1, robots // 2 + 1))] + [ring(robots)] * (policies > 1)
     goals += [ring(robots, size=8.5 + extra) for extra in range(1, policies - 1)]
     paths, switch = [], []
     for _ in range(episodes):
         path, ends = [start(robots, rng)], []
         for goal in goals:
-            steps = int(np.ceil(np.abs(goal - path[-1]).max() / world["max_speed"])) + int(rng.integers(2, 12))
+            steps = int(np.ceil(np.abs(goal - path[-1]).max() / world.max_speed)) + int(rng.integers(2, 12))
             shares = 1 - (1 - np.arange(1, steps + 1) / steps) ** 1.3
             path += list(path[-1] + shares[:, None, None] * (goal - path[-1]))
             ends.append(len(path) - 1)
@@ -90,44 +76,43 @@ def trajectories(policies, objective, world, robots, episodes, rng):
         switch.append(ends[:-1])
     longest = max(len(path) for path in paths)
     positions = np.array([path + [path[-1]] * (longest - len(path)) for path in paths])
-    signals = np.array([signals_of(path, world, objective) for path in positions])
-    return {
-        "positions": positions.astype(np.float32),
-        "lengths": np.array([len(path) - 1 for path in paths], np.int32),
-        "switch": np.array(switch, np.int32).reshape(episodes, policies - 1),
-        "objective": signals.sum(-1).astype(np.float32),
-        "signals": signals.astype(np.float32),
-        "signal_names": np.array(SIGNALS[objective]),
-        "at_rest": np.ones(episodes, bool),
-    }
-
-
-def make_run(folder, *, policies=2, objective="C1", robots=10, episodes=5, name="C", kind="distributed", **sizes):
-    """Writes a run folder."""
-    folder, rng = Path(folder), np.random.default_rng(0)
-    folder.mkdir(parents=True, exist_ok=True)
-    world = WORLD | sizes
-    arrays = trajectories(policies, objective, world, robots, episodes, rng)
-    table = "\n".join(f"{key} = {value}" for key, value in (world | {"robots": robots}).items())
-    (folder / "experiment.toml").write_text(
-        f'name = "{name}"\nobjective = "{objective}"\nseed = 0\n[world]\n{table}\n[start]\nkind = "{kind}"\n'
+    signals = [signals_of(path, world, objective) for path in positions]
+    return Trajectories(
+        positions=positions.astype(np.float32),
+        lengths=np.array([len(path) - 1 for path in paths]),
+        switch=np.array(switch, int).reshape(episodes, policies - 1),
+        at_rest=np.ones(episodes, bool),
+        terminated=np.zeros(episodes, bool),
+        signals={name: np.stack([values[name] for values in signals]) for name in SIGNALS[objective]},
+        epochs=np.zeros(episodes, int),
     )
-    evaluation = {"experiment": name, "robots": robots, "episodes": episodes, "valid": 1.0}
-    (folder / "evaluation.json").write_text(json.dumps(evaluation))
-    rows = metrics(policies, objective, rng)
-    (folder / "metrics.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
-    np.savez_compressed(folder / "trajectories.npz", **arrays)
-    return folder
 
 
-@pytest.fixture(scope="session", name="make_run")
-def _make_run():
-    return make_run
+def make_recording(*, policies=2, objective="C1", episodes=5, name="C"):
+    rng = np.random.default_rng(0)
+    config = replace(preset("C" if objective == "C1" else "F"), name=name)
+    arrays = trajectories(policies, objective, config.world, episodes, rng)
+    return plots.Recording(config, arrays, training(policies, objective, rng))
+
+
+def change(recording, **arrays):
+    """Returns a recording with some arrays of its trajectories replaced."""
+    return replace(recording, trajectories=replace(recording.trajectories, **arrays))
+
+
+@pytest.fixture(scope="session", name="make_recording")
+def _make_recording():
+    return make_recording
+
+
+@pytest.fixture(scope="session", name="change")
+def _change():
+    return change
 
 
 @pytest.fixture(scope="session")
-def run(tmp_path_factory):
-    return make_run(tmp_path_factory.mktemp("runs") / "C")
+def recording():
+    return make_recording()
 
 
 def check_labels(figure):

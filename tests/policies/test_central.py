@@ -10,21 +10,21 @@ import numpy as np
 import pytest
 
 from murmurate.errors import InputError
-from murmurate.policies import PolicyConfig, Sizes, make_networks
+from murmurate.policies import CentralPolicy, EquivariantPolicy, LocalPolicy
+from murmurate.world import WorldConfig
 
-SIZES = Sizes(3, half_width=20.0, half_height=15.0, radius=1.0, safe_distance=5.0, max_speed=0.5, landmark=True)
+WORLD = WorldConfig(robots=3, half_width=20.0, half_height=15.0, max_speed=0.5)
 
 
 @pytest.fixture(scope="module")
 def networks():
-    return make_networks(PolicyConfig(kind="central", hidden=(8, 6)), SIZES, jax.random.key(0))
+    return CentralPolicy(hidden=(8, 6)).networks(WORLD, True, jax.random.key(0))
 
 
 @pytest.mark.parametrize("batch", [(), (2, 5)])
 @pytest.mark.parametrize(("credit", "actions"), [("robots", 3), ("swarm", 1)])
 def test_shapes(credit, actions, batch):
-    config = PolicyConfig(kind="central", hidden=(8, 6), credit=credit)
-    policy, value = make_networks(config, SIZES, jax.random.key(0))
+    policy, value = CentralPolicy(hidden=(8, 6), credit=credit).networks(WORLD, True, jax.random.key(0))
     positions = jax.random.normal(jax.random.key(1), (3, 2, *batch))
     distribution = policy.distribution(positions)
     assert policy(positions).shape == positions.shape
@@ -43,8 +43,8 @@ def test_a_batch_is_its_members_one_by_one(networks):
 
 def test_velocities_scale_with_the_speed_limit(networks):
     policy, _ = networks
-    fast = dataclasses.replace(SIZES, max_speed=2.0)
-    faster, _ = make_networks(PolicyConfig(kind="central", hidden=(8, 6)), fast, jax.random.key(0))
+    fast = dataclasses.replace(WORLD, max_speed=2.0)
+    faster, _ = CentralPolicy(hidden=(8, 6)).networks(fast, True, jax.random.key(0))
     positions = jax.random.normal(jax.random.key(1), (3, 2, 4))
     np.testing.assert_allclose(faster(positions), 4 * policy(positions), rtol=1e-5)
     spread = [p.distribution(positions).log_std for p in (policy, faster)]
@@ -54,8 +54,8 @@ def test_velocities_scale_with_the_speed_limit(networks):
 def test_policy_and_value_are_two_networks(networks):
     policy, value = networks
     assert not np.allclose(policy.body.layers[0].weight, value.body.layers[0].weight)
-    again = make_networks(PolicyConfig(kind="central", hidden=(8, 6)), SIZES, jax.random.key(0))
-    other = make_networks(PolicyConfig(kind="central", hidden=(8, 6)), SIZES, jax.random.key(1))
+    again = CentralPolicy(hidden=(8, 6)).networks(WORLD, True, jax.random.key(0))
+    other = CentralPolicy(hidden=(8, 6)).networks(WORLD, True, jax.random.key(1))
     np.testing.assert_array_equal(again[0].body.layers[0].weight, policy.body.layers[0].weight)
     assert not np.allclose(other[0].body.layers[0].weight, policy.body.layers[0].weight)
 
@@ -66,19 +66,19 @@ def test_hidden_layers_have_the_configured_widths(networks):
 
 
 @pytest.mark.parametrize(
-    "fields",
+    ("policy", "fields"),
     [
-        {"kind": "attention"},
-        {"hidden": ()},
-        {"hidden": (8, 0)},
-        {"hidden": (-1,)},
-        {"basis": 1},
-        {"credit": "team"},
-        {"credit": "swarm", "kind": "equivariant"},
+        (CentralPolicy, {"hidden": ()}),
+        (CentralPolicy, {"hidden": (8, 0)}),
+        (EquivariantPolicy, {"hidden": (-1,)}),
+        (EquivariantPolicy, {"hidden": (8, 8, 8)}),
+        (LocalPolicy, {"basis": 1}),
+        (CentralPolicy, {"credit": "team"}),
+        (EquivariantPolicy, {"credit": "swarm"}),
     ],
 )
-def test_no_such_policy(fields):
+def test_no_such_policy(policy, fields):
     with pytest.raises(InputError) as error:
-        PolicyConfig(**fields)
+        policy(**fields)
     assert error.value.field in fields
     assert "\n" not in str(error.value)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -12,19 +10,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from murmurate.policies import PolicyConfig, Sizes, make_networks
+from murmurate.policies import EquivariantPolicy
+from murmurate.world import WorldConfig
 
-FREE = Sizes(5, half_width=45.0, half_height=45.0, radius=1.0, safe_distance=5.0, max_speed=0.7, landmark=False)
-BOUND = dataclasses.replace(FREE, landmark=True)
-BOTH = pytest.mark.parametrize("sizes", [FREE, BOUND], ids=["C2", "C1"])
+WORLD = WorldConfig(robots=5, max_speed=0.7)
+BOTH = pytest.mark.parametrize("landmark", [False, True], ids=["C2", "C1"])
 call = eqx.filter_jit(lambda network, positions: network(positions))
 seeds = st.integers(0, 2**32 - 1)
 angles = st.floats(-np.pi, np.pi)
 
 
-def networks(sizes, scale=1.0, dtype=jnp.float64):
+def networks(landmark, scale=1.0, dtype=jnp.float64):
     """Networks far from their initial weights, as training would leave them: no coefficient is small or zero."""
-    built = make_networks(PolicyConfig(hidden=(16, 8)), sizes, jax.random.key(0))
+    built = EquivariantPolicy(hidden=(16, 8)).networks(WORLD, landmark, jax.random.key(0))
     leaves, structure = jax.tree.flatten(built)
     rng = np.random.default_rng(1)
     leaves = [jnp.asarray(scale * (np.asarray(x) + 0.3 * rng.normal(size=x.shape)), dtype) for x in leaves]
@@ -39,7 +37,7 @@ def _double_precision():
 
 @pytest.fixture(scope="module")
 def trained():
-    return {sizes: networks(sizes) for sizes in (FREE, BOUND)}
+    return {landmark: networks(landmark) for landmark in (False, True)}
 
 
 def swarm(seed, robots=5, batch=4):
@@ -57,9 +55,9 @@ def assert_equal(actual, expected):
 
 
 @BOTH
-def test_the_networks_below_do_something(trained, sizes):
+def test_the_networks_below_do_something(trained, landmark):
     """Otherwise every invariance would hold trivially."""
-    policy, value = trained[sizes]
+    policy, value = trained[landmark]
     velocities, worth = call(policy, swarm(0)), call(value, swarm(0))
     assert np.abs(velocities).min() > 1e-4
     assert np.std(worth, axis=(0, 1) if worth.ndim > 1 else None).min() > 1e-4
@@ -68,8 +66,8 @@ def test_the_networks_below_do_something(trained, sizes):
 @BOTH
 @given(seed=seeds, order=st.permutations(range(5)))
 @settings(max_examples=20)
-def test_relabelling(trained, sizes, seed, order):
-    policy, value = trained[sizes]
+def test_relabelling(trained, landmark, seed, order):
+    policy, value = trained[landmark]
     positions = swarm(seed)
     assert_equal(call(policy, positions[order]), call(policy, positions)[np.array(order)])
     assert_equal(call(value, positions[order]), call(value, positions)[np.array(order)])
@@ -78,8 +76,8 @@ def test_relabelling(trained, sizes, seed, order):
 @BOTH
 @given(seed=seeds, angle=angles)
 @settings(max_examples=20)
-def test_rotation_about_the_origin(trained, sizes, seed, angle):
-    policy, value = trained[sizes]
+def test_rotation_about_the_origin(trained, landmark, seed, angle):
+    policy, value = trained[landmark]
     positions = swarm(seed)
     assert_equal(call(policy, turned(positions, angle)), turned(call(policy, positions), angle))
     assert_equal(call(value, turned(positions, angle)), call(value, positions))
@@ -88,7 +86,7 @@ def test_rotation_about_the_origin(trained, sizes, seed, angle):
 @given(seed=seeds, shift=st.tuples(st.floats(-50, 50), st.floats(-50, 50)))
 @settings(max_examples=20)
 def test_translation_without_a_gathering_point(trained, seed, shift):
-    policy, value = trained[FREE]
+    policy, value = trained[False]
     positions = swarm(seed)
     moved = positions + np.array(shift)[:, None]
     assert_equal(call(policy, moved), call(policy, positions))
@@ -96,7 +94,7 @@ def test_translation_without_a_gathering_point(trained, seed, shift):
 
 
 def test_a_gathering_point_is_something_that_a_robot_sees(trained):
-    policy, value = trained[BOUND]
+    policy, value = trained[True]
     positions, moved = swarm(0), swarm(0) + np.array([3.0, -2.0])[:, None]
     assert np.abs(call(policy, moved) - call(policy, positions)).max() > 1e-3
     assert np.abs(call(value, moved) - call(value, positions)).max() > 1e-3
@@ -104,8 +102,8 @@ def test_a_gathering_point_is_something_that_a_robot_sees(trained):
 
 @BOTH
 @pytest.mark.parametrize("robots", [2, 9])
-def test_any_number_of_robots_has_the_same_weights(trained, sizes, robots):
-    policy, value = trained[sizes]
+def test_any_number_of_robots_has_the_same_weights(trained, landmark, robots):
+    policy, value = trained[landmark]
     positions = swarm(7, robots)
     order = np.random.default_rng(2).permutation(robots)
     velocities, worth = call(policy, positions), call(value, positions)
@@ -116,8 +114,8 @@ def test_any_number_of_robots_has_the_same_weights(trained, sizes, robots):
 
 
 @BOTH
-def test_a_batch_is_its_members_one_by_one(trained, sizes):
-    policy, value = trained[sizes]
+def test_a_batch_is_its_members_one_by_one(trained, landmark):
+    policy, value = trained[landmark]
     positions = swarm(3)
     for network in (policy, value):
         ones = [call(network, positions[..., i]) for i in range(4)]
@@ -127,18 +125,18 @@ def test_a_batch_is_its_members_one_by_one(trained, sizes):
 @BOTH
 @given(seed=seeds, scale=st.sampled_from([1e-6, 1e-3, 1.0, 10.0, 100.0, 1e4]))
 @settings(max_examples=15)
-def test_the_norm_of_velocities_is_bounded(trained, sizes, seed, scale):
-    speed = np.linalg.norm(call(trained[sizes][0], scale * swarm(seed)), axis=1)
+def test_the_norm_of_velocities_is_bounded(trained, landmark, seed, scale):
+    speed = np.linalg.norm(call(trained[landmark][0], scale * swarm(seed)), axis=1)
     assert np.isfinite(speed).all()
-    assert (speed <= sizes.max_speed * (1 + 1e-12)).all()
+    assert (speed <= WORLD.max_speed * (1 + 1e-12)).all()
 
 
 @BOTH
-def test_the_bound_holds_in_float32_for_extreme_weights(sizes):
-    policy, _ = networks(sizes, scale=1e3, dtype=jnp.float32)
+def test_the_bound_holds_in_float32_for_extreme_weights(landmark):
+    policy, _ = networks(landmark, scale=1e3, dtype=jnp.float32)
     speed = np.linalg.norm(call(policy, swarm(0, batch=64).astype(np.float32)), axis=1)
-    assert speed.max() > 0.99 * sizes.max_speed, "nothing comes near the bound"
-    assert (speed <= sizes.max_speed * (1 + 1e-6)).all()
+    assert speed.max() > 0.99 * WORLD.max_speed, "nothing comes near the bound"
+    assert (speed <= WORLD.max_speed * (1 + 1e-6)).all()
 
 
 def coincidences():
@@ -152,8 +150,8 @@ def coincidences():
 
 
 @BOTH
-def test_coincident_robots_are_no_nan(trained, sizes):
-    policy, value = trained[sizes]
+def test_coincident_robots_are_no_nan(trained, landmark):
+    policy, value = trained[landmark]
     velocities, worth = call(policy, coincidences()), call(value, coincidences())
     assert np.isfinite(velocities).all()
     assert np.isfinite(worth).all()
@@ -161,8 +159,8 @@ def test_coincident_robots_are_no_nan(trained, sizes):
 
 
 @BOTH
-def test_gradients_are_finite_and_reach_every_weight(sizes):
-    built = networks(sizes, dtype=jnp.float32)
+def test_gradients_are_finite_and_reach_every_weight(landmark):
+    built = networks(landmark, dtype=jnp.float32)
     positions = jnp.asarray(np.concatenate([coincidences(), swarm(5)], axis=-1), jnp.float32)
 
     def loss(built):
@@ -173,14 +171,14 @@ def test_gradients_are_finite_and_reach_every_weight(sizes):
         name = jax.tree_util.keystr(path)
         assert np.isfinite(gradient).all(), name
         if name.endswith("weight"):
-            assert np.any(gradient) == (sizes.landmark or "to_point" not in name), name
+            assert np.any(gradient) == (landmark or "to_point" not in name), name
 
 
 @BOTH
-def test_each_robot_draws_an_action_of_its_own(trained, sizes):
-    policy, _ = trained[sizes]
+def test_each_robot_draws_an_action_of_its_own(trained, landmark):
+    policy, _ = trained[landmark]
     positions = swarm(6)
     distribution = eqx.filter_jit(lambda policy, positions: policy.distribution(positions))(policy, positions)
     assert distribution.log_prob(positions).shape == (5, 4)
     np.testing.assert_allclose(distribution.mean, call(policy, positions), rtol=1e-10)
-    np.testing.assert_allclose(distribution.log_std, policy.log_std + np.log(sizes.max_speed))
+    np.testing.assert_allclose(distribution.log_std, policy.log_std + np.log(WORLD.max_speed))

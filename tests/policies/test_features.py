@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from murmurate.policies import Sizes
 from murmurate.policies.features import LEAST_MEAN, MEAN, NEIGHBOR, counted, roominess, stretched
+from murmurate.world import WorldConfig
 
-SIZES = Sizes(8, 40.0, 40.0, 1.0, 5.0, 1.0, False)
+WORLD = WorldConfig(robots=8, half_width=40.0, half_height=40.0)
 
 
 def ring(robots, radius):
@@ -31,7 +31,7 @@ def mean_distance(points):
 
 def roomy(points):
     mean = jnp.full((1,), mean_distance(points))
-    return np.asarray(roominess(mean, jnp.full((1,), len(points) - 1.0), SIZES))[:, 0]
+    return np.asarray(roominess(mean, jnp.full((1,), len(points) - 1.0), WORLD))[:, 0]
 
 
 @pytest.mark.parametrize("robots", [4, 6, 8, 12, 16, 24, 64, 256])

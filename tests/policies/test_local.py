@@ -8,16 +8,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from murmurate.policies import PolicyConfig, Sizes, make_networks
-from murmurate.policies.local import BRAKE
-from murmurate.world import Observation, SensingConfig, draw_frames, perceive
+from murmurate.policies import LocalPolicy
+from murmurate.policies.shield import WALL_SHARE
+from murmurate.world import Observation, Sensing, WorldConfig
 
 R, SCAN = 1.0, 40.0
 
 
 def networks(landmark=True, seed=0):
-    sizes = Sizes(6, 45.0, 45.0, R, 5.0, 1.0, landmark)
-    policy, value = make_networks(PolicyConfig(kind="local", hidden=(16, 8)), sizes, jax.random.key(seed))
+    policy, value = LocalPolicy(hidden=(16, 8)).networks(WorldConfig(robots=6), landmark, jax.random.key(seed))
     # Fresh heads are all but silent: here they speak up.
     heads = (policy.head.weight, policy.to_point.weight)
     louder = eqx.tree_at(lambda p: (p.head.weight, p.to_point.weight), policy, tuple(20 * weight for weight in heads))
@@ -30,42 +29,42 @@ def configuration(seed=0, robots=6):
     return jnp.asarray(ring + np.random.default_rng(seed).uniform(-2, 2, ring.shape), jnp.float32)
 
 
-def observed(positions, seed=0, **sensing):
-    config = SensingConfig(**sensing)
+def observed(positions, seed=0, use="global", **fields):
+    sensing = Sensing.registered()[use](**fields)
     key = jax.random.key(seed)
-    frames = draw_frames(config, key, len(positions))
-    view = perceive(config, positions, frames, key, R, SCAN, 45.0, 45.0)
+    frames = sensing.draw_frames(key, len(positions))
+    view = sensing.view(positions, frames, key, WorldConfig(robots=len(positions), radius=R, scan_radius=SCAN))
     return frames, Observation(view, positions, 45.0 - jnp.abs(positions).max(axis=1))
 
 
 def velocities(policy, positions, seed=0, **sensing):
     """Returns what the robots do, in the world's frame."""
     frames, observation = observed(positions, seed, **sensing)
-    return np.asarray(frames.outward(policy(observation)))
+    return np.asarray(frames.to_world(policy(observation)))
 
 
-@pytest.mark.parametrize("kind", ["global", "scan", "visible"])
-def test_no_frame_changes_where_a_robot_goes(kind):
+@pytest.mark.parametrize("use", ["global", "scan", "visible"])
+def test_no_frame_changes_where_a_robot_goes(use):
     policy, _ = networks()
-    plain = velocities(policy, configuration(), kind=kind)
+    plain = velocities(policy, configuration(), use=use)
     assert np.abs(plain).max() > 0.1
     for seed in range(4):
-        turned = velocities(policy, configuration(), seed, kind=kind, rotation=True, unit=5.0)
+        turned = velocities(policy, configuration(), seed, use=use, rotation=True, unit_ratio=5.0)
         np.testing.assert_allclose(turned, plain, atol=2e-5)
 
 
 def test_turning_the_swarm_turns_its_velocities():
     policy, _ = networks()
     turn = jnp.asarray([[np.cos(1.0), -np.sin(1.0)], [np.sin(1.0), np.cos(1.0)]], jnp.float32)
-    plain = velocities(policy, configuration(), kind="visible", rotation=True)
-    turned = velocities(policy, configuration() @ turn.T, 3, kind="visible", rotation=True)
+    plain = velocities(policy, configuration(), use="visible", rotation=True)
+    turned = velocities(policy, configuration() @ turn.T, 3, use="visible", rotation=True)
     np.testing.assert_allclose(turned, plain @ np.asarray(turn).T, atol=2e-5)
 
 
 def test_moving_the_swarm_changes_nothing_without_a_landmark():
     policy, _ = networks(landmark=False)
-    plain = velocities(policy, configuration(), kind="visible")
-    np.testing.assert_allclose(velocities(policy, configuration() + 7.0, kind="visible"), plain, atol=2e-5)
+    plain = velocities(policy, configuration(), use="visible")
+    np.testing.assert_allclose(velocities(policy, configuration() + 7.0, use="visible"), plain, atol=2e-5)
     aware, _ = networks(landmark=True)
     here, there = (velocities(aware, configuration() + shift) for shift in (0.0, 7.0))
     assert np.abs(here - there).max() > 0.01
@@ -74,8 +73,8 @@ def test_moving_the_swarm_changes_nothing_without_a_landmark():
 def test_robots_have_no_number():
     policy, _ = networks()
     order = np.random.default_rng(1).permutation(6)
-    plain = velocities(policy, configuration(), kind="visible")
-    np.testing.assert_allclose(velocities(policy, configuration()[order], kind="visible"), plain[order], atol=2e-5)
+    plain = velocities(policy, configuration(), use="visible")
+    np.testing.assert_allclose(velocities(policy, configuration()[order], use="visible"), plain[order], atol=2e-5)
 
 
 def test_what_is_hidden_does_not_move_a_robot():
@@ -83,17 +82,17 @@ def test_what_is_hidden_does_not_move_a_robot():
     policy, _ = networks()
     here = configuration().at[:3].set(jnp.asarray([[0.0, -20.0], [0.0, -15.0], [0.0, -8.0]]))
     there = here.at[2].set(jnp.asarray([0.3, -6.5]))
-    _, observation = observed(here, kind="visible")
+    _, observation = observed(here, use="visible")
     assert not bool(observation.view.seen[0, 2])
-    first, second = (velocities(policy, p, kind="visible")[0] for p in (here, there))
+    first, second = (velocities(policy, p, use="visible")[0] for p in (here, there))
     np.testing.assert_array_equal(first, second)
-    first, second = (velocities(policy, p, kind="scan")[0] for p in (here, there))
+    first, second = (velocities(policy, p, use="scan")[0] for p in (here, there))
     assert np.abs(first - second).max() > 1e-4
 
 
 def test_positions_never_reach_the_acting_policy():
     policy, value = networks()
-    _, observation = observed(configuration(), kind="visible")
+    _, observation = observed(configuration(), use="visible")
     blind = eqx.tree_at(lambda o: o.positions, observation, observation.positions * jnp.nan)
     np.testing.assert_array_equal(policy(blind), policy(observation))
     assert not np.isfinite(np.asarray(value(blind))).any()
@@ -105,22 +104,22 @@ def test_no_robot_goes_more_than_a_share_of_its_way_to_a_wall_that_it_perceives(
     policy, _ = networks()
     positions = configuration() + 45.0 - far - configuration().max(axis=0)
     plain, slowed = (
-        velocities(policy, positions, 3, kind="global", rotation=True, reflection=True, unit=3.0, walls=walls)
+        velocities(policy, positions, 3, use="global", rotation=True, reflection=True, unit_ratio=3.0, walls=walls)
         for walls in (False, True)
     )
     way = 45.0 - np.asarray(positions)
-    np.testing.assert_allclose(slowed, np.minimum(plain, BRAKE * way), atol=2e-5)
+    np.testing.assert_allclose(slowed, np.minimum(plain, WALL_SHARE * way), atol=2e-5)
     assert (far == 40.0) == np.allclose(slowed, plain, atol=1e-4)
     # Away from a wall, or from the opposite one, nothing holds a robot back.
-    back = velocities(policy, -positions, 3, kind="global", rotation=True, walls=True)
-    free = velocities(policy, -positions, 3, kind="global", rotation=True)
-    np.testing.assert_allclose(back, np.maximum(free, -BRAKE * way), atol=2e-5)
+    back = velocities(policy, -positions, 3, use="global", rotation=True, walls=True)
+    free = velocities(policy, -positions, 3, use="global", rotation=True)
+    np.testing.assert_allclose(back, np.maximum(free, -WALL_SHARE * way), atol=2e-5)
 
 
 @pytest.mark.parametrize("robots", [2, 3, 16, 40])
 def test_the_same_weights_act_in_every_swarm(robots):
     policy, value = networks()
-    _, observation = observed(configuration(robots=robots), kind="visible")
+    _, observation = observed(configuration(robots=robots), use="visible")
     assert policy(observation).shape == (robots, 2)
     assert value(observation).shape == (robots,)
     speeds = np.linalg.norm(policy(observation), axis=1)
@@ -131,7 +130,7 @@ def test_the_same_weights_act_in_every_swarm(robots):
 def test_a_robot_alone_and_coincident_robots_are_defined():
     policy, _ = networks()
     for positions in (jnp.asarray([[0.0, 0.0], [100.0, 0.0]]), jnp.zeros((3, 2))):
-        gradient = eqx.filter_grad(lambda p, x: jnp.sum(p(observed(x, kind="scan")[1])))(policy, positions)
+        gradient = eqx.filter_grad(lambda p, x: jnp.sum(p(observed(x, use="scan")[1])))(policy, positions)
         assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(gradient))
 
 
@@ -143,5 +142,5 @@ def test_velocities_do_not_grow_with_the_swarm():
         angle = np.pi * (np.arange(count) + 0.5) / count
         far = 35.0 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
         positions = jnp.asarray(np.vstack([[[0.0, 0.0]], far]), jnp.float32)
-        mean.append(np.arctanh(np.linalg.norm(velocities(policy, positions, kind="global")[0])))
+        mean.append(np.arctanh(np.linalg.norm(velocities(policy, positions, use="global")[0])))
     assert mean[1] < 3 * mean[0]

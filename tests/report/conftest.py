@@ -2,24 +2,16 @@ from __future__ import annotations
 
 import functools
 
-import jax
 import pytest
 from matplotlib.figure import Figure
 
 from murmurate import plots
-from murmurate.report import folder
+from murmurate.report import report
 from murmurate.report import runs as work
-from murmurate.report.material import Command, Material
+from murmurate.report.data import Command, ReportData
 from murmurate.report.plan import Plan, PlannedRun
-from murmurate.report.report import make_report
 from murmurate.runs.paper import EXPERIMENTS
 from tiny import tiny
-
-
-@pytest.fixture(scope="session", autouse=True)
-def usual_broadcasting():
-    with jax.numpy_rank_promotion("allow"):
-        yield
 
 
 def make_tiny_plan(quick=False):
@@ -41,8 +33,7 @@ def plan():
 def runs(plan, tmp_path_factory):
     """The folder of the plan's finished runs; not to be changed."""
     runs = tmp_path_factory.mktemp("runs")
-    for planned in plan.runs:
-        work.train(planned, runs)
+    work.train(plan, runs)
     return runs
 
 
@@ -57,7 +48,7 @@ COMMAND = Command("murmurate reproduce --quick", "murmurate reproduce", seconds=
 def blank(patch):
     """Draws nothing, fast."""
     for name in ("robot", "visibility", "training", "reward", "formation", "patterns", "growth"):
-        patch.setattr(view, f"{name}_figure", lambda *_: Figure(figsize=(0.2, 0.1)))
+        patch.setattr(plots, f"{name}_figure", lambda *_: Figure(figsize=(0.2, 0.1)))
 
 
 @pytest.fixture(scope="session")
@@ -66,11 +57,12 @@ def written(results, tmp_path_factory):
     folders = {}
     for quick in (True, False):
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(view, "save", functools.partial(plots.save, dpi=25))
+            patch.setattr(plots, "png", functools.partial(plots.png, dpi=25))
             if not quick:
                 blank(patch)
             folders[quick] = tmp_path_factory.mktemp("report")
-            folder.write(make_report(Material(make_tiny_plan(quick), results, COMMAND)), folders[quick])
+            data = ReportData(make_tiny_plan(quick), results, COMMAND)
+            report.write(report.make(data), folders[quick])
     return folders
 
 

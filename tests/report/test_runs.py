@@ -5,13 +5,22 @@ from __future__ import annotations
 import json
 import shutil
 
+import jax
 import pytest
 
 from murmurate.errors import RunError
 from murmurate.report import runs as work
 from murmurate.runs import experiment as configuration
-from murmurate.runs import storage, train
+from murmurate.runs import train
+from murmurate.runs.folder import RunFolder
 from tiny import tiny
+
+
+@pytest.fixture(autouse=True)
+def usual_broadcasting():
+    """A test that trains needs the usual rules, as optax does."""
+    with jax.numpy_rank_promotion("allow"):
+        yield
 
 
 @pytest.fixture
@@ -26,10 +35,9 @@ def contents(folder):
 
 def test_finished_runs_are_reused_as_they_are(plan, mine, monkeypatch):
     before = contents(mine)
-    monkeypatch.setattr(work, "discover", None)
+    monkeypatch.setattr(train, "advance_together", None)
     assert work.check(plan, mine) == {planned.name: "finished" for planned in plan.runs}
-    for planned in plan.runs:
-        assert work.train(planned, mine).summary["episodes"] == 200
+    assert [result.summary["episodes"] for result in work.train(plan, mine)] == [200, 200]
     assert contents(mine) == before
 
 
@@ -42,13 +50,13 @@ def test_an_interrupted_run_goes_on_to_the_same_weights(plan, runs, tmp_path, mo
         left[0] -= 1
         return advance(*args)
 
-    monkeypatch.setattr(training, "advance_together", interrupted)
+    monkeypatch.setattr(train, "advance_together", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        work.train(planned, tmp_path)
-    monkeypatch.setattr(training, "advance_together", advance)
+        work.train(plan, tmp_path)
+    monkeypatch.setattr(train, "advance_together", advance)
     assert work.check(plan, tmp_path) == {plan.runs[0].name: "unfinished", plan.runs[1].name: "new"}
-    result = work.train(planned, tmp_path)
-    whole = storage.read_manifest(runs / planned.name)
+    result = work.train(plan, tmp_path)[0]
+    whole = RunFolder(runs / planned.name).manifest()
     assert result.manifest["checksums"] == whole["checksums"]
 
 

@@ -4,7 +4,7 @@ import jax
 import pytest
 
 from murmurate.runs import train
-from tiny import tiny
+from tiny import tiny, write_toml
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -19,3 +19,17 @@ def finished(tmp_path_factory):
     folder = tmp_path_factory.mktemp("runs") / "tiny"
     train.discover(tiny(), folder)
     return folder
+
+
+@pytest.fixture
+def write_sweep(tmp_path):
+    """Writes a sweep beside three tiny experiments; returns its path."""
+    for name in ("one", "two", "three"):
+        write_toml(tmp_path / f"{name}.toml", name=name)
+
+    def write(text):
+        path = tmp_path / "sweep.toml"
+        path.write_text(text)
+        return path
+
+    return write

@@ -1,16 +1,19 @@
-"""Methods side by side: the same starts for all, every cell kept as soon as it is done, failures counted by kind."""
+"""Methods side by side: the same starts for all, every condition kept as soon as it is done, failures by kind."""
 
 from __future__ import annotations
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from murmurate.discovery import Cascade
 from murmurate.errors import InputError, RunError
 from murmurate.runs import comparison, comparison_page, train
-from murmurate.runs.comparison import Cell, Comparison, cells, compare
+from murmurate.runs.comparison import Comparison, Condition, ConditionJob, compare, conditions
+from murmurate.runs.execute import LocalProcesses
 from tiny import tiny
 
 LOCAL = {"policy": {"kind": "local", "hidden": [8, 4]}, "start": {"kind": "random"}, "base": {"ppo": {"updates": 1}}}
@@ -33,19 +36,19 @@ def setting(runs):
 @pytest.fixture(scope="module")
 def done(runs, setting, tmp_path_factory):
     folder = tmp_path_factory.mktemp("cells")
-    wanted = cells(NAMES, ["visible"], ["fsync"], [3, 5], known=NAMES)
+    wanted = conditions(NAMES, ["visible"], ["fsync"], [3, 5], known=NAMES)
     return folder, wanted, compare(setting, wanted, runs, folder)
 
 
 def test_a_row_adds_up(done):
     _, wanted, rows = done
-    assert [Cell(*(r[n] for n in Cell.__dataclass_fields__)) for r in rows] == wanted
+    assert [Condition(*(r[n] for n in Condition.__dataclass_fields__)) for r in rows] == wanted
     for row in rows:
         failures = [row[name] for name in ("collisions", "left", "hidden", "unsafe", "restless")]
         assert max(failures) <= row["episodes"] - row["valid"] <= sum(failures)
         low, high = row["interval"]
         assert low - 1e-9 <= row["valid"] / row["episodes"] <= high + 1e-9
-        assert len(row["worst"]) == min(comparison.WORST, row["episodes"] - row["valid"])
+        assert len(row["worst"]) == min(comparison.MAX_WORST, row["episodes"] - row["valid"])
         assert all(np.shape(one["positions"]) == (row["robots"], 2) for one in row["worst"])
         if row["valid"]:
             assert row["steps"] == row["epochs"]
@@ -64,14 +67,14 @@ def test_a_good_method_is_told_from_a_bad_one(done):
 def test_every_method_begins_at_the_same_starts(setting, monkeypatch):
     seen = []
     monkeypatch.setattr(
-        comparison, "_judged", lambda problem, ran: seen.append(ran.positions[:, 0]) or {"a": np.ones(1)}
+        comparison, "_measure", lambda problem, ran: seen.append(ran.positions[:, 0]) or {"a": np.ones(1)}
     )
-    monkeypatch.setattr(comparison, "ROOM", 8 * 3**2)
+    monkeypatch.setattr(comparison, "MAX_PAIRS", 8 * 3**2)
     for method in ("random", "centroid"):
-        cell = Cell(method, "visible", "fsync", 3)
-        problem = setting.problem(cell)
-        for ran in comparison._rollouts(setting, problem, comparison._policy(setting, cell, {})):
-            comparison._judged(problem, ran)
+        condition = Condition(method, "visible", "fsync", 3)
+        problem = setting.problem(condition)
+        for ran in comparison._rollouts(setting, problem, ConditionJob(Path(), setting, condition)._policies()):
+            comparison._measure(problem, ran)
     batches = len(seen) // 2
     assert batches == 3
     for first, second in zip(seen[:batches], seen[batches:], strict=True):
@@ -82,16 +85,65 @@ def test_every_method_begins_at_the_same_starts(setting, monkeypatch):
 
 def test_what_is_done_is_not_run_again_and_more_may_be_asked_for(done, setting, runs, monkeypatch):
     folder, wanted, rows = done
-    monkeypatch.setattr(comparison, "_row", lambda *_: pytest.fail("run again"))
+    monkeypatch.setattr(comparison, "_evaluate", lambda *_: pytest.fail("run again"))
     assert compare(setting, wanted, runs, folder) == json.loads(json.dumps(rows))
     assert compare(replace(setting, episodes=10), wanted, runs, folder) == json.loads(json.dumps(rows))
 
 
+BASELINE = """
+import jax.numpy as jnp
+
+class StandStill:
+    centralised = False
+    deviations = "It does not move."
+
+    def __init__(self, world, landmark):
+        self.robots = world.robots
+
+    def __call__(self, observation):
+        return jnp.zeros((self.robots, 2, observation.view.x.shape[-1]))
+"""
+
+
+def test_a_baseline_of_ones_own_is_compared_here_and_in_a_process(setting, runs, tmp_path, monkeypatch):
+    (tmp_path / "still.py").write_text(BASELINE)
+    monkeypatch.syspath_prepend(tmp_path)
+    wanted = conditions(["still:StandStill"], ["visible"], ["fsync"], [3], known=NAMES)
+    setting = replace(setting, episodes=4)
+    here = compare(setting, wanted, runs, tmp_path / "here")
+    there = compare(setting, wanted, runs, tmp_path / "there", LocalProcesses(1))
+    assert here == there
+    assert [(row["method"], row["collisions"], row["left"]) for row in here] == [("still:StandStill", 0, 0)]
+    assert comparison.sorted_rows(tmp_path / "there") == there
+    assert [path.name for path in (tmp_path / "there").iterdir()] == [comparison.COMPARISON]
+
+
+@pytest.mark.parametrize(
+    ("name", "reason"), [("none:Such", "No module named 'none'"), ("json:loads", "with the field centralised")]
+)
+def test_a_baseline_that_is_none_is_refused(name, reason):
+    with pytest.raises(InputError, match=reason):
+        conditions([name], ["visible"], ["fsync"], [3])
+
+
+def test_the_seed_reaches_the_scheduler_and_the_frames(setting, monkeypatch):
+    seeds = []
+    rollout = Cascade.rollout
+    monkeypatch.setattr(Cascade, "rollout", lambda *args, seed: seeds.append(seed) or rollout(*args, seed=seed))
+    monkeypatch.setattr(comparison, "MAX_PAIRS", 8 * 3**2)
+    for seed in (0, 1):
+        condition = Condition("centroid", "visible", "ssync", 3)
+        comparing = replace(setting, episodes=10, seed=seed)
+        policies = ConditionJob(Path(), comparing, condition)._policies()
+        list(comparison._rollouts(comparing, comparing.problem(condition), policies))
+    assert seeds == [0, 8, 10_000, 10_008]
+
+
 def test_more_starts_are_another_run_of_the_same_cell(runs, setting, tmp_path):
-    cell = cells(["random"], ["visible"], ["fsync"], [3], known=NAMES)
-    first = compare(replace(setting, episodes=4), cell, runs, tmp_path)
+    condition = conditions(["random"], ["visible"], ["fsync"], [3], known=NAMES)
+    first = compare(replace(setting, episodes=4), condition, runs, tmp_path)
     assert [row["episodes"] for row in first] == [4]
-    assert [row["episodes"] for row in compare(replace(setting, episodes=6), cell, runs, tmp_path)] == [6]
+    assert [row["episodes"] for row in compare(replace(setting, episodes=6), condition, runs, tmp_path)] == [6]
     assert len(comparison.load(tmp_path)["rows"]) == 1
 
 
@@ -102,11 +154,13 @@ def test_another_comparison_is_not_mixed_in(done, setting, runs):
 
 
 def test_symmetric_starts_are_cells_of_their_own(setting):
-    wanted = cells(["circle"], ["visible"], ["fsync"], [3, 5], ["rings", "line"], ["circle"])
-    assert [(cell.start, cell.robots) for cell in wanted] == [("rings", 5), ("line", 3), ("line", 5)]
-    cell = wanted[1]
-    problem = setting.problem(cell)
-    ran = next(comparison._rollouts(setting, problem, comparison._policy(setting, cell, {}), cell.start))
+    wanted = conditions(["circle"], ["visible"], ["fsync"], [3, 5], ["rings", "line"], ["circle"])
+    assert [(condition.start, condition.robots) for condition in wanted] == [("rings", 5), ("line", 3), ("line", 5)]
+    condition = wanted[1]
+    problem = setting.problem(condition)
+    ran = next(
+        comparison._rollouts(setting, problem, ConditionJob(Path(), setting, condition)._policies(), condition.start)
+    )
     first = ran.positions[:, 0].astype(float)
     along = first[:, 2] - first[:, 0]
     across = first[:, 1] - (first[:, 0] + first[:, 2]) / 2
@@ -135,9 +189,10 @@ def test_what_made_the_cells_is_noted_once(done, setting, runs):
 
 
 def test_a_central_mind_has_one_frame_and_others_have_their_own(setting):
-    assert not setting.problem(Cell("circle-central", "visible", "fsync", 5)).sensing.disoriented
-    sensing = setting.problem(Cell("circle", "visible", "fsync", 5)).sensing
-    assert (sensing.kind, sensing.rotation, sensing.reflection) == ("visible", True, True)
+    sensing = setting.problem(Condition("circle-central", "visible", "fsync", 5)).sensing
+    assert (sensing.name, sensing.rotation, sensing.reflection) == ("global", False, False)
+    sensing = setting.problem(Condition("circle", "visible", "fsync", 5)).sensing
+    assert (sensing.name, sensing.rotation, sensing.reflection) == ("visible", True, True)
 
 
 @pytest.mark.parametrize(
@@ -150,7 +205,7 @@ def test_a_central_mind_has_one_frame_and_others_have_their_own(setting):
 )
 def test_unknown_names_list_the_known_ones(field, names):
     with pytest.raises(InputError, match=f"{field} = .*: must be one of .*,"):
-        cells(*names, [4], known=NAMES)
+        conditions(*names, [4], known=NAMES)
 
 
 def test_the_table_goes_into_a_page_once_and_is_kept(done):

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from murmurate.errors import InputError, RunError
-from murmurate.runs import experiment, config_io
+from murmurate.runs import config_io
 from murmurate.runs.experiment import ExperimentConfig
 from tiny import tiny
 

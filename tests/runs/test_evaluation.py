@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
+from murmurate.analysis import best_known
+from murmurate.analysis.optimum.best_known import BestKnown
 from murmurate.discovery import Trajectories, Validity
 from murmurate.runs import storage
 from murmurate.runs.evaluate import Evaluation, wilson
-from murmurate.analysis import best_known
-from murmurate.analysis.optimum.best_known import BestKnown
 from tiny import tiny
 
 NAMES = ("nclose", "safety", "neighbors", "visible")

@@ -7,7 +7,7 @@ import pytest
 from test_training import KEPT, StoppedError, stop_after
 
 from murmurate.errors import InputError
-from murmurate.runs import experiment, presets, storage, train
+from murmurate.runs import presets, storage, train
 from murmurate.world import LocalObservation
 from tiny import tiny
 

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from murmurate.errors import RunError
-from murmurate.runs import storage, serialization
+from murmurate.runs import serialization, storage
 
 
 @pytest.fixture

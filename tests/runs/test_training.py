@@ -15,7 +15,7 @@ import pytest
 from murmurate import plots
 from murmurate.discovery import Discovery
 from murmurate.errors import InputError, RunError
-from murmurate.runs import checkpoint, experiment, evaluate, storage, train, serialization
+from murmurate.runs import checkpoint, evaluate, serialization, storage, train
 from murmurate.runs.run import METRICS
 from tiny import tiny, write_toml
 

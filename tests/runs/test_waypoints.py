@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from murmurate.errors import InputError, RunError
+from murmurate.interop.waypoints import Scale, Waypoints
 from murmurate.runs import storage
 from murmurate.runs.evaluate import TRAJECTORIES
-from murmurate.interop.waypoints import Scale, Waypoints
 from tiny import tiny
 
 RADIUS, SPEED = 1.0, 0.5

@@ -2,23 +2,37 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from murmurate import world
 from murmurate.errors import InputError
-from murmurate.world.signals import shares
+from murmurate.world import Configuration, Objective, Signal, WorldConfig, objective_signals
 from oracles import configurations, visibility
 from oracles import signals as oracle
 
 SIZES = {"half_width": 20.0, "half_height": 15.0, "radius": 1.0, "scan_radius": 12.0, "safe_distance": 5.0}
 READINGS = [(g, s) for g in ("close", "nclose") for s in ("penalty", "shell")]
 seeds = st.integers(0, 2**32 - 1)
+
+
+def configuration(positions, safety="penalty"):
+    return Configuration(positions, WorldConfig(robots=positions.shape[0], safety=safety, **SIZES))
+
+
+def objective(gathering, **weights):
+    return Objective(objective_signals({"close": "C1", "nclose": "C2"}[gathering]), weights)
+
+
+def measure(positions, gathering="close", safety="penalty"):
+    return objective(gathering).measure(configuration(positions, safety))
+
+
+def credits_of(positions, gathering, safety):
+    signals = objective_signals({"close": "C1", "nclose": "C2"}[gathering])
+    return {name: signal.credit(configuration(positions, safety)) for name, signal in signals.items()}
 
 
 def random_configuration(seed, robots, side):
@@ -39,7 +53,7 @@ def test_signals_are_the_oracles(gathering, safety, seed, robots, side):
     others = ~np.eye(robots, dtype=bool)
     decided = visibility.decided(positions, SIZES["radius"], SIZES["scan_radius"], visibility.FLOAT64_TANGENCY)
     assume(decided[others].all())
-    measured = world.signals(positions, gathering=gathering, safety=safety, **SIZES)
+    measured = measure(positions, gathering=gathering, safety=safety)
     expected = oracle.signals(positions, gathering, safety=safety, **SIZES)
     assert list(measured) == list(expected)
     for name, value in expected.items():
@@ -54,9 +68,7 @@ def test_float32_batches_are_the_oracles(gathering, safety):
     ]
     batch = [p for p, d in zip(batch, decided, strict=True) if d]
     assert len(batch) > 16
-    measured = world.signals(
-        jnp.asarray(np.stack(batch, axis=-1), jnp.float32), gathering=gathering, safety=safety, **SIZES
-    )
+    measured = measure(jnp.asarray(np.stack(batch, axis=-1), jnp.float32), gathering=gathering, safety=safety, **SIZES)
     for index, positions in enumerate(batch):
         for name, value in oracle.signals(positions, gathering, safety=safety, **SIZES).items():
             np.testing.assert_allclose(measured[name][index], value, rtol=1e-5, atol=1e-5, err_msg=name)
@@ -69,7 +81,7 @@ def test_signals_never_exceed_one(seed, robots):
     box = np.array([SIZES["half_width"], SIZES["half_height"]])
     positions = rng.uniform(-1, 1, (robots, 2, 20)) * box[:, None] * rng.choice([0.02, 0.2, 1.0], 20)
     for gathering, safety in READINGS:
-        measured = world.signals(positions, gathering=gathering, safety=safety, **SIZES)
+        measured = measure(positions, gathering=gathering, safety=safety)
         for name, value in measured.items():
             assert np.isfinite(value).all()
             assert (value <= 1 + 1e-12).all(), name
@@ -80,20 +92,20 @@ def test_signals_never_exceed_one(seed, robots):
 def test_close_is_one_at_the_gathering_point_and_zero_in_the_corners():
     box = np.array([SIZES["half_width"], SIZES["half_height"]])
     corners = np.array([[1, 1], [1, -1], [-1, 1]]) * box
-    at = [world.signals(p, gathering="close", **SIZES)["close"] for p in (np.zeros((3, 2)), corners)]
+    at = [measure(p, gathering="close")["close"] for p in (np.zeros((3, 2)), corners)]
     np.testing.assert_allclose(at, [1, 0], atol=1e-12)
 
 
 def test_nclose_falls_with_the_mean_distance():
     box = np.array([SIZES["half_width"], SIZES["half_height"]])
-    at = [world.signals(np.array([-s * box, s * box]), gathering="nclose", **SIZES)["nclose"] for s in (0, 0.5, 1)]
+    at = [measure(np.array([-s * box, s * box]), gathering="nclose")["nclose"] for s in (0, 0.5, 1)]
     np.testing.assert_allclose(at, [1, 0.5, 0], atol=1e-12)
 
 
 @pytest.mark.parametrize(("distance", "penalty"), [(5.0, 1.0), (9.0, 1.0), (4.0, 1 - 1 / 5**0.5), (2.5, 1 - 0.5**0.5)])
 def test_penalty_is_one_from_the_safe_distance_on(distance, penalty):
     positions = np.array([[0.0, 0.0], [distance, 0.0]])
-    measured = world.signals(positions, gathering="close", safety="penalty", **SIZES)
+    measured = measure(positions, gathering="close", safety="penalty")
     np.testing.assert_allclose(measured["safety"], penalty, atol=1e-12)
 
 
@@ -102,15 +114,15 @@ def test_penalty_is_one_from_the_safe_distance_on(distance, penalty):
 )
 def test_shell_is_best_exactly_at_the_safe_distance(distance, shell):
     triangle = ring(3, distance / 3**0.5)
-    measured = world.signals(triangle * (1 + 1e-15), gathering="close", safety="shell", **SIZES)
+    measured = measure(triangle * (1 + 1e-15), gathering="close", safety="shell")
     np.testing.assert_allclose(measured["safety"], shell, atol=1e-6)
 
 
 def test_a_wide_enough_ring_is_seen_whole_and_a_row_is_not():
-    at_best = world.signals(ring(8, 5.9), gathering="close", **SIZES)
+    at_best = measure(ring(8, 5.9), gathering="close")
     assert at_best["visible"] == at_best["neighbors"] == 1
     row = np.stack([3.0 * np.arange(3), np.zeros(3)], axis=1)
-    measured = world.signals(row, gathering="close", **SIZES)
+    measured = measure(row, gathering="close")
     assert measured["neighbors"] == 1
     np.testing.assert_allclose(measured["visible"], 4 / 6)
 
@@ -128,33 +140,69 @@ def test_shares_are_difference_rewards(gathering, safety, seed, robots, side):
     for positions in (before, after):
         decided = visibility.decided(positions, SIZES["radius"], SIZES["scan_radius"], visibility.FLOAT64_TANGENCY)
         assume(decided[~np.eye(robots, dtype=bool)].all())
-    first, then = (shares(p, gathering=gathering, safety=safety, **SIZES) for p in (before, after))
+    first, then = (credits_of(p, gathering, safety) for p in (before, after))
     was, becomes = (oracle.signals(p, gathering, safety=safety, **SIZES) for p in (before, after))
     for name in was:
         change = robots / 2 * (becomes[name] - was[name])
         np.testing.assert_allclose((then[name] - first[name])[mover], change, atol=1e-10, err_msg=name)
 
 
+@given(seed=seeds, robots=st.integers(2, 8), side=st.sampled_from([9.0, 28.0]))
+def test_a_signal_is_the_mean_of_the_robots_shares(seed, robots, side):
+    for safety in ("penalty", "shell"):
+        measured = configuration(random_configuration(seed, robots, side), safety)
+        for name, strategy in Signal.registered().items():
+            shares = strategy()(measured)
+            assert shares.shape == (robots,)
+            np.testing.assert_allclose(shares.mean(axis=0), strategy().value(measured), atol=1e-12, err_msg=name)
+
+
 @pytest.mark.parametrize(("name", "gathering"), [("C1", "close"), ("C2", "nclose")])
 def test_the_objective_is_the_weighted_sum(name, gathering):
     positions = random_configuration(1, 6, 14.0)
-    weights = world.WeightsConfig(gathering=0.5, safety=2.0, neighbors=3.0, visible=7.0)
     values = oracle.signals(positions, gathering, safety="penalty", **SIZES)
-    measured = world.signals(positions, gathering=gathering, **SIZES)
+    measured = measure(positions, gathering=gathering)
     expected = 0.5 * values[gathering] + 2 * values["safety"] + 3 * values["neighbors"] + 7 * values["visible"]
-    np.testing.assert_allclose(world.Objective.create(name, weights)(measured), expected)
-    plain = world.Objective.create(name, world.WeightsConfig())(measured)
-    np.testing.assert_allclose(plain, sum(values.values()))
-    assert world.signal_names(name) == (gathering, "safety", "neighbors", "visible")
+    weights = {gathering: 0.5, "safety": 2.0, "neighbors": 3.0, "visible": 7.0}
+    np.testing.assert_allclose(objective(gathering, **weights)(measured), expected)
+    np.testing.assert_allclose(objective(gathering)(measured), sum(values.values()))
+    assert tuple(objective_signals(name)) == (gathering, "safety", "neighbors", "visible")
 
 
 def test_there_is_no_third_objective():
-    with pytest.raises(InputError, match=r"^objective = 'C3': must be one of C1, C2$"):
-        world.Objective.create("C3", world.WeightsConfig())
+    with pytest.raises(InputError, match=r"^objective = 'C3': must be one of C1, C2, custom$"):
+        objective_signals("C3")
+    with pytest.raises(InputError, match=r"^signals = \{\}: must be one signal or more with the objective custom$"):
+        objective_signals("custom")
 
 
 @pytest.mark.parametrize("value", [-1.0, float("nan"), float("inf")])
-@pytest.mark.parametrize("field", [f.name for f in dataclasses.fields(world.WeightsConfig)])
-def test_weights_are_finite_and_not_negative(field, value):
-    with pytest.raises(InputError, match=f"^{field} = "):
-        world.WeightsConfig(**{field: value})
+def test_weights_are_finite_and_not_negative(value):
+    for name, strategy in Signal.registered().items():
+        with pytest.raises(InputError, match=r"^weight = "):
+            strategy(weight=value)
+        if name != "nclose":
+            with pytest.raises(InputError, match=f"^weights.{name} = "):
+                objective("close", **{name: value})
+    with pytest.raises(InputError, match=r"^weights.nclose = 1.0: must be of a signal of the objective"):
+        objective("close", nclose=1.0)
+
+
+class Calm(Signal):
+    """How slow nothing is: a signal of a user's own, of positions alone."""
+
+    speed: float = 2.0
+
+    def __call__(self, configuration):
+        return configuration.positions[:, 0] / self.speed
+
+
+def test_a_signal_of_ones_own_joins_the_objective():
+    positions = random_configuration(3, 5, 14.0)
+    signals = objective_signals("C2", {"calm": Calm(4.0, weight=0.5)})
+    assert list(signals) == ["nclose", "safety", "neighbors", "visible", "calm"]
+    whole = Objective(signals)
+    measured = whole.measure(configuration(positions))
+    np.testing.assert_allclose(measured["calm"], positions[:, 0].mean() / 4)
+    np.testing.assert_allclose(whole(measured), sum(measured.values()) - 0.5 * measured["calm"])
+    np.testing.assert_allclose(signals["calm"].credit(configuration(positions)), positions[:, 0] / 4)

@@ -4,7 +4,7 @@ NumPy and SciPy only. `murmurate.geometry.similarity` says when two configuratio
 """
 
 from murmurate.analysis.catalogue import TOLERANCE, Catalogue, Finding, PatternClass, merge
-from murmurate.analysis.measures import convex_layers, nearest_distances, visibility_margin
+from murmurate.analysis.measures import convex_layers, nearest_distances, on_hull, visibility_margin
 from murmurate.analysis.novelty import unmatched
 from murmurate.analysis.symmetry import SYMMETRY_TOLERANCE, Symmetry, symmetry, upright
 
@@ -18,6 +18,7 @@ __all__ = [
     "convex_layers",
     "merge",
     "nearest_distances",
+    "on_hull",
     "symmetry",
     "unmatched",
     "upright",

@@ -63,8 +63,8 @@ class Finding:
         radius: The paper's R_bot, world units.
         safe_distance: The paper's delta_s, world units.
         scan_radius: The paper's R_scan, world units.
-        objective: C1 or C2.
-        value: The objective that was reached, with all weights 1.
+        objective: C1, C2, or custom for any other.
+        value: The objective that was reached, with the signals' own weights (the paper's are all 1).
         gap: By how much the best known value is greater; None when that is not known.
         experiment: The experiment that found it.
         policy: Its kind of policy.
@@ -94,7 +94,7 @@ class Finding:
             raise InputError("positions", points.shape, f"of two or more robots, each number within {GREATEST:g}")
         points.flags.writeable = False
         object.__setattr__(self, "positions", points)
-        check_choice("objective", self.objective, ("C1", "C2"))
+        check_choice("objective", self.objective, ("C1", "C2", "custom"))
         for name, (low, high) in _NUMBERS.items():
             number = getattr(self, name)
             if name == "gap" and number is None:

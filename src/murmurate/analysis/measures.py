@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Complex, Float
@@ -11,7 +13,7 @@ from murmurate.errors import check_number
 from murmurate.geometry import distances
 from murmurate.geometry.similarity import configuration, normalized
 
-__all__ = ["convex_layers", "nearest_distances", "visibility_margin"]
+__all__ = ["Line", "convex_layers", "fit_line", "nearest_distances", "on_hull", "visibility_margin"]
 
 STRAIGHT = 1e-6
 """By how much an angle may miss pi and still be straight, radians: positions are recorded in float32."""
@@ -36,14 +38,26 @@ def convex_layers(positions: Float[np.ndarray, "robots 2"]) -> tuple[int, ...]:
     """
     left, layers = normalized(positions), []
     while len(left):
-        on_hull = _on_hull(left)
-        layers.append(int(on_hull.sum()))
-        left = left[~on_hull]
+        outermost = _on_hull(left)
+        layers.append(int(outermost.sum()))
+        left = left[~outermost]
     return tuple(layers)
 
 
+def on_hull(positions: Float[np.ndarray, "robots 2"]) -> Bool[np.ndarray, " robots"]:
+    """Returns which robots are on the convex hull; those on one of its edges are.
+
+    Args:
+        positions: Centres of the robots, world units.
+
+    Raises:
+        InputError: It is no configuration of finite numbers.
+    """
+    return _on_hull(normalized(positions))
+
+
 def _on_hull(z: Complex[np.ndarray, " robots"]) -> Bool[np.ndarray, " robots"]:
-    """Says who sees all others on one side of a straight line."""
+    """Returns which robots have all others on one side of a straight line."""
 
     def widest_gap(others: Complex[np.ndarray, " others"]) -> float:
         angles = np.sort(np.angle(others[np.abs(others) > COINCIDENT]))
@@ -104,3 +118,29 @@ def visibility_margin(positions: Float[np.ndarray, "robots 2"], radius: float) -
     )
     third = apart[:, :, None] & ~np.eye(len(z), dtype=bool)[:, None, :] & ~np.eye(len(z), dtype=bool)[None]
     return float(gap.min(where=third, initial=np.inf)) - 1.0
+
+
+@dataclass(frozen=True)
+class Line:
+    """A straight line by least squares.
+
+    Attributes:
+        slope: Increase of y for an increase of x by 1.
+        intercept: y where x is 0.
+        r_squared: Share of the variance of y that the line explains.
+    """
+
+    slope: float
+    intercept: float
+    r_squared: float
+
+
+def fit_line(x: Sequence[float], y: Sequence[float]) -> Line | None:
+    """Fits a straight line; returns None for fewer than three points, numbers that are not finite, or a single x."""
+    across, up = np.asarray(x, float), np.asarray(y, float)
+    if len(across) < 3 or not np.isfinite(up).all() or np.ptp(across) == 0:
+        return None
+    slope, intercept = np.polyfit(across, up, 1)
+    total = float(((up - up.mean()) ** 2).sum())
+    residual = float(((up - intercept - slope * across) ** 2).sum())
+    return Line(float(slope), float(intercept), 1 - residual / total if total else 1.0)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 __all__ = ["run", "show"]
 
 PLATE = "plate.png"
-MOST_DRAWN, MOST_LISTED = 48, 20
+MAX_DRAWN, MAX_LISTED = 48, 20
 
 
 def run(argv: Sequence[str]) -> int:
@@ -29,6 +29,8 @@ def run(argv: Sequence[str]) -> int:
     parser.add_argument("--tolerance", type=float, metavar="NUMBER", help=tolerance)
     parser.add_argument("--no-scaling", action="store_true", help="patterns of different size are different")
     parser.add_argument("--no-reflection", action="store_true", help="mirror images are different patterns")
+    text = "import the modules that the runs name, which executes them"
+    parser.add_argument("--trust", action="store_true", help=text)
     options, _ = parser.parse(argv)
     if options.tolerance is not None:
         check_number("--tolerance", options.tolerance, 0, GREATEST, exclusive_low=True)
@@ -36,8 +38,8 @@ def run(argv: Sequence[str]) -> int:
     from murmurate.runs import catalogues
 
     out = Path(options.out)
-    catalogues.look(out)
-    found = [finding for word in options.runs for finding in catalogues.findings(word)]
+    catalogues.check_target(out)
+    found = [finding for word in options.runs for finding in catalogues.read_findings(word, options.trust)]
     if not found:
         raise RunError(f"no valid pattern was found in {', '.join(options.runs)}")
     scaling, reflection = not options.no_scaling, not options.no_reflection
@@ -49,7 +51,7 @@ def show(catalogue: Catalogue, out: Path) -> None:
     """Writes a catalogue to a folder, with its plate, and prints its best classes."""
     from murmurate.runs import catalogues
 
-    catalogues.save(catalogue, out)
+    catalogues.write(catalogue, out)
     _draw(catalogue, out / PLATE)
     _print(catalogue, out)
 
@@ -58,27 +60,25 @@ def _draw(catalogue: Catalogue, path: Path) -> None:
     """Draws the plate of a catalogue's best classes."""
     from murmurate import plots
 
-    robots = len(catalogue.findings[0].positions)
-    classes, found = catalogue.classes, len(catalogue.findings)
-    shown = classes[:MOST_DRAWN]
-    subtitle = f"{len(classes)} {'class' if len(classes) == 1 else 'classes'} of {found} valid patterns, best first"
+    classes, total = catalogue.classes, len(catalogue.findings)
+    shown = classes[:MAX_DRAWN]
+    subtitle = f"{len(classes)} {'class' if len(classes) == 1 else 'classes'} of {total} valid patterns, best first"
     if len(shown) < len(classes):
         subtitle += f"; the first {len(shown)}"
-    plate = plots.plate_figure([_picture(one, found) for one in shown], f"Patterns of {robots} robots", subtitle)
-    plots.save(plate, path)
+    title = f"Patterns of {len(catalogue.findings[0].positions)} robots"
+    plots.save(plots.plate_figure([_plate_pattern(cls, total) for cls in shown], title, subtitle), path)
 
 
-def _picture(one: PatternClass, found: int) -> PlatePattern:
-    """Turns a class's representative so that its mirror axis stands upright, if it has one, and captions it."""
+def _plate_pattern(pattern: PatternClass, total: int) -> PlatePattern:
+    """Returns a class's representative with its mirror axis upright, if it has one, and its caption."""
     from murmurate import plots
     from murmurate.analysis import upright
 
-    best = one.representative
-    symbol = one.symmetry.symbol
-    caption = f"{symbol}{' · ' * bool(symbol)}{_layers(one)} · {one.count} of {found}"
-    note = f"{best.objective} {one.value:.4f}"
-    if one.gap is not None:
-        note += f", {100 * one.gap / (one.gap + one.value):.2f}% short"
+    best, symbol = pattern.representative, pattern.symmetry.symbol
+    caption = f"{symbol}{' · ' * bool(symbol)}{_layers(pattern)} · {pattern.count} of {total}"
+    note = f"{best.objective} {pattern.value:.4f}"
+    if pattern.gap is not None:
+        note += f", {100 * pattern.gap / (pattern.gap + pattern.value):.2f}% short"
     return plots.PlatePattern(upright(best.positions), best.radius, best.scan_radius, caption, note)
 
 
@@ -103,11 +103,11 @@ def _print(catalogue: Catalogue, out: Path) -> None:
             f"{one.margin:.2f} R",
             ", ".join(f"{start} {count}" for start, count in one.starts.items()),
         )
-        for one in catalogue.classes[:MOST_LISTED]
+        for one in catalogue.classes[:MAX_LISTED]
     ]
     console = Console()
     console.print(table.as_rich(header, rows))
-    if len(catalogue.classes) > MOST_LISTED:
-        print(f"and {len(catalogue.classes) - MOST_LISTED} more")
+    if len(catalogue.classes) > MAX_LISTED:
+        print(f"and {len(catalogue.classes) - MAX_LISTED} more")
     print(f"classes: {out / catalogues.CLASSES}, all findings: {out / catalogues.CATALOGUE}")
     print(f"plate: {out / PLATE}")

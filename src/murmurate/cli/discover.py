@@ -7,11 +7,15 @@ from argparse import Namespace
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from murmurate.cli.arguments import Parser
-from murmurate.cli.attended import go_on_attended
-from murmurate.errors import RunError, UsageError
+from murmurate.errors import UsageError
 from murmurate.runs.paper import EXPERIMENTS, check_experiment
+
+if TYPE_CHECKING:
+    from murmurate.runs.folder import RunFolder
+    from murmurate.runs.run import Run
 
 __all__ = ["run"]
 
@@ -27,12 +31,12 @@ def run(argv: Sequence[str]) -> int:
     word = argv[0] if argv and not argv[0].startswith("-") else None
     if word is not None:
         check_experiment(word)  # before JAX is loaded
-    if any(given.partition("=")[0] == "--hosts" for given in argv):
-        go_on_attended()
     from murmurate.cli.progress import Progress
-    from murmurate.learning import hosts
+    from murmurate.learning import sharding
     from murmurate.runs import presets
     from murmurate.runs.experiment import read_toml
+    from murmurate.runs.folder import RunFolder
+    from murmurate.runs.run import Run
     from murmurate.runs.train import discover
 
     options, flags = _parser(word if word in EXPERIMENTS else "C").parse(argv)
@@ -41,24 +45,29 @@ def run(argv: Sequence[str]) -> int:
     config = presets.resolve(options.experiment, overlay, flags, learner=options.learner)
     name = f"{config.name}-{options.learner or config.policy.name}"
     if options.seeds is not None or options.vary:
-        from murmurate.cli.many import discover_many, variants
+        if options.initial is not None:
+            raise UsageError("--from is for one run: give it without --seeds and --vary")
+        from murmurate.cli.many import discover_many
+        from murmurate.runs.grid import Grid
 
-        configs = variants(config, options.seeds if options.seeds is not None else 1, options.vary)
+        grid = Grid.from_flags(config, name, options.seeds if options.seeds is not None else 1, options.vary)
         with _events(options.tensorboard) as events:
             out = Path(options.out or "runs")
-            return discover_many(configs, out, name, options.resume, options.together, events)
+            return discover_many(grid, out, name, options.resume, options.together, events, options.quiet)
     if options.together is not None:
         raise UsageError("--together is for many runs: it needs --seeds or --vary")
-    folder = Path(options.out or Path("runs") / f"{name}-seed{config.seed}")
+    folder = RunFolder(options.out or Path("runs") / f"{name}-seed{config.seed}")
+    initial = None if options.initial is None else Run.open(options.initial, options.trust)
     try:
-        if not hosts.is_first():
-            discover(config, folder, options.resume)
+        if not sharding.is_first():
+            discover(config, folder.path, options.resume, initial=initial)
             return 0
-        with Progress() as progress, _events(options.tensorboard) as events:
-            discover(config, folder, options.resume, progress.update, events)
+        with Progress(quiet=options.quiet) as progress, _events(options.tensorboard) as events:
+            discovered = discover(config, folder.path, options.resume, progress.update, events, initial)
     except KeyboardInterrupt:
-        raise KeyboardInterrupt(f"interrupted; add --resume to the same command to go on with {folder}") from None
-    return _report(folder)
+        text = f"interrupted; add --resume to the same command to go on with {folder.path}"
+        raise KeyboardInterrupt(text) from None
+    return _print_results(discovered, folder)
 
 
 def _parser(shown: str) -> Parser:
@@ -72,6 +81,11 @@ def _parser(shown: str) -> Parser:
     text = "whose numbers to begin with (default: those of the policy)"
     parser.add_argument("--learner", metavar=f"{{{names}}}", help=text)
     parser.add_argument("--resume", action="store_true", help="continue the run that the folder holds")
+    text = "begin with the policies of this run, of the same shapes, instead of new ones"
+    parser.add_argument("--from", dest="initial", metavar="RUN", help=text)
+    text = "import the modules that the run of --from names, which executes them"
+    parser.add_argument("--trust", action="store_true", help=text)
+    parser.add_argument("--quiet", action="store_true", help="do not show the progress")
     many = "train this many seeds, from --seed on, and catalogue what they find; --out is then the folder of all"
     parser.add_argument("--seeds", type=int, metavar="INT", help=many)
     vary = "with every seed, train with each of these values; may be given for several fields"
@@ -80,10 +94,10 @@ def _parser(shown: str) -> Parser:
     parser.add_argument("--together", type=int, metavar="INT", help=side)
     board = "write the training curves for TensorBoard as well (needs the tensorboard extra)"
     parser.add_argument("--tensorboard", action="store_true", help=board)
-    text = "train on this many hosts, each of which runs the same command with its own --host; or auto, as Slurm says"
+    text = "train on this many hosts; each runs the same command with its own --host (auto: ask Slurm or Open MPI)"
     parser.add_argument("--hosts", metavar="INT|auto", help=text)
-    parser.add_argument("--host", type=int, metavar="INT", help="which of them this is, from 0, which keeps the run")
-    text = "where the first of them listens, a free port of its own"
+    parser.add_argument("--host", type=int, metavar="INT", help="index of this host, from 0; host 0 writes the run")
+    text = "address and free port where host 0 listens"
     parser.add_argument("--coordinator", metavar="HOST:PORT", help=text)
     parser.add_fields(presets.preset(shown), aliases={"policy.use": "--policy"})
     parser.epilog = f"Defaults are those of experiment {shown} with the {presets.DEFAULT_LEARNER} learner."
@@ -91,28 +105,28 @@ def _parser(shown: str) -> Parser:
 
 
 def _join(options: Namespace) -> None:
-    """Makes this process one of several hosts, where it was asked for."""
+    """Connects this process with the other hosts, if --hosts asks for it."""
     if options.hosts is None:
         if options.host is not None or options.coordinator is not None:
             raise UsageError("--host and --coordinator go with --hosts")
         return
     if options.seeds is not None or options.vary:
         raise UsageError("--hosts is for one run, and --seeds and --vary are for many (see murmurate sweep)")
-    from murmurate.learning import hosts
+    from murmurate.learning import sharding
 
     if options.hosts == "auto":
         if options.host is not None or options.coordinator is not None:
-            raise UsageError("--hosts auto finds out by itself what --host and --coordinator say")
-        hosts.join(None, None, None)
+            raise UsageError("--hosts auto needs neither --host nor --coordinator")
+        sharding.initialize()
         return
     for name in ("host", "coordinator"):
         if getattr(options, name) is None:
             raise UsageError(f"--hosts {options.hosts} needs --{name} as well")
     count = int(options.hosts) if options.hosts.isdecimal() else options.hosts
-    hosts.check(options.coordinator, count, options.host)
+    sharding.check_address(options.coordinator, count, options.host)
     if options.host == 0 and count > 1:
         print(f"waiting for the other hosts at {options.coordinator}", file=sys.stderr, flush=True)
-    hosts.join(options.coordinator, count, options.host)
+    sharding.initialize(options.coordinator, count, options.host)
 
 
 def _events(wanted: bool) -> AbstractContextManager[Callable[[Path], None] | None]:
@@ -126,26 +140,15 @@ def _events(wanted: bool) -> AbstractContextManager[Callable[[Path], None] | Non
     return Events()
 
 
-def _report(folder: Path) -> int:
-    """Prints and draws a finished run."""
+def _print_results(run: Run, folder: RunFolder) -> int:
+    """Prints and draws a finished run; returns the exit status."""
     from murmurate.cli import outcome
-    from murmurate.runs import experiment as configuration
-    from murmurate.runs import presets, storage, table
-    from murmurate.runs.train import VALID
 
-    config, summary = configuration.load(folder), table.read_evaluation(folder)
-    outcome.print_comparison(summary, presets.paper_row(config))
-    outcome.print_record(folder)
-    failed = storage.read_manifest(folder).get("outcome") != VALID
-    try:
-        print(f"picture: {outcome.draw(folder)}")
-    except RunError as error:
-        if not failed:
-            raise
-        print(f"no picture: {error}")  # policies that went astray may leave nothing to draw
-    if failed:
-        print(f"No valid pattern was discovered. The run is kept in {folder}; try another --seed or more updates.")
+    outcome.print_results(run, folder)
+    print(f"picture: {outcome.draw(folder)}")
+    if not run.manifest["valid_pattern"]:
+        print(f"No valid pattern was discovered. The run is kept in {folder.path}; try another --seed or more updates.")
         return NOTHING_VALID
-    print(f"animation: murmurate show {folder}")
-    print(f"other starts: murmurate evaluate {folder} --seed 1 --out {folder}-evaluation")
+    print(f"animation: murmurate show {folder.path}")
+    print(f"other starts: murmurate evaluate {folder.path} --seed 1 --out {folder.path}-evaluation")
     return 0

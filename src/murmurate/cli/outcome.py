@@ -1,45 +1,41 @@
-"""What `discover` and `evaluate` say and draw when they are done."""
+"""What `discover` and `evaluate` print and draw when they are done."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 
-from murmurate.runs import table
-from murmurate.runs.evaluate import RECORD
-from murmurate.runs.paper import PaperExperiment
+from murmurate.runs import presets, table
+from murmurate.runs.folder import RECORD, RunFolder
+from murmurate.runs.run import Run
 
-__all__ = ["PICTURE", "draw", "print_comparison", "print_record"]
-
-PICTURE = Path("figures") / "discovery.png"
+__all__ = ["draw", "print_results"]
 
 
-def print_comparison(summary: Mapping[str, Any], row: PaperExperiment | None) -> None:
-    """Prints an evaluation, beside the paper's where it has one."""
-    Console().print(table.as_rich(*table.comparison(summary, row)))
+def print_results(run: Run, folder: RunFolder) -> None:
+    """Prints the evaluation of a run beside the paper's, where it has one, and names a new record.
+
+    Args:
+        run: The run.
+        folder: The folder of its evaluation.
+    """
+    Console().print(table.as_rich(*table.comparison(folder.evaluation(), presets.paper_row(run.experiment))))
+    if folder.record() is not None:
+        print(f"A valid pattern beats the best known: {folder.path / RECORD} is the new record.")
 
 
-def print_record(folder: Path) -> None:
-    """Says so where a run beat the best-known pattern."""
-    if (folder / RECORD).is_file():
-        print(f"A valid pattern beats the best known: {folder / RECORD} is the new record.")
-
-
-def draw(folder: Path, episode: int | None = None) -> Path:
+def draw(folder: RunFolder) -> Path:
     """Draws the figure of a run folder.
 
     Returns:
         The picture.
 
     Raises:
-        InputError: There is no such episode.
-        RunError: The record is damaged, or the picture cannot be written.
+        RunError: The run is damaged, or the picture cannot be written.
     """
     from murmurate import plots
 
-    path = folder / PICTURE
-    plots.save(plots.discovery_figure(plots.Record.open(folder), episode), path)
+    path = folder.figures / "discovery.png"
+    plots.save(plots.discovery_figure(plots.Recording.open(folder)), path)
     return path

@@ -1,7 +1,8 @@
-"""A live line on stderr for long work: what is being done, how far it is, what matters, and the time left."""
+"""The progress of long work on stderr: a live line on a terminal, plain lines in a pipe or a log, or nothing."""
 
 from __future__ import annotations
 
+import sys
 from types import TracebackType
 from typing import TextIO
 
@@ -22,18 +23,24 @@ _FORMATS = {
 
 
 class Progress:
-    """A live progress line, one for each piece of work; silent when the stream is not a terminal.
+    """Shows the progress of one piece of work after another.
+
+    On a terminal, each piece of work is a line that is redrawn at every update. Elsewhere every update is a plain line,
+    as logs need it.
 
         with Progress() as progress:
             for update in range(updates):
                 progress.update("base policy", update + 1, updates, reward=0.12, visible=0.87)
 
     Args:
-        stream: Where to draw; stderr by default.
+        stream: Where to write; stderr by default.
+        quiet: Whether to write nothing.
     """
 
-    def __init__(self, stream: TextIO | None = None) -> None:
-        console = Console(file=stream, stderr=True)
+    def __init__(self, stream: TextIO | None = None, quiet: bool = False) -> None:
+        self._stream = sys.stderr if stream is None else stream
+        self._quiet = quiet
+        self._is_live = not quiet and self._stream.isatty()
         self._tasks: dict[str, TaskID] = {}
         # On a narrow terminal the values are cut, not the counts; drawn at updates only, because a thread that redraws
         # would take time from the training.
@@ -43,10 +50,10 @@ class Progress:
             MofNCompleteColumn(table_column=Column(no_wrap=True)),
             TimeRemainingColumn(table_column=Column(no_wrap=True)),
             TextColumn("{task.fields[text]}", table_column=Column(no_wrap=True, overflow="ellipsis", ratio=1)),
-            console=console,
+            console=Console(file=stream, stderr=True),
             expand=True,
             auto_refresh=False,
-            disable=not console.file.isatty(),
+            disable=not self._is_live,
         )
 
     def __enter__(self) -> Progress:
@@ -59,7 +66,7 @@ class Progress:
         self._bars.stop()
 
     def update(self, work: str, done: int, total: int, **values: float | str) -> None:
-        """Redraws the line.
+        """Redraws the line of a piece of work, or writes a line.
 
         Args:
             work: What is being done, such as the policy in training; new work starts a new line below.
@@ -68,11 +75,14 @@ class Progress:
             **values: What else to show, by name: reward, visible, valid, steps_per_second, or anything else; text is
                 shown as it is.
         """
-        if work not in self._tasks:
-            self._tasks[work] = self._bars.add_task(work, total=total, completed=done, text="")
-        text = "  ".join(_formatted(name, value) for name, value in values.items())
-        self._bars.update(self._tasks[work], completed=done, total=total, text=text, refresh=True)
+        text = "  ".join(_format(name, value) for name, value in values.items())
+        if self._is_live:
+            if work not in self._tasks:
+                self._tasks[work] = self._bars.add_task(work, total=total, completed=done, text="")
+            self._bars.update(self._tasks[work], completed=done, total=total, text=text, refresh=True)
+        elif not self._quiet:
+            print(f"{work}: {done}/{total}  {text}".rstrip(), file=self._stream, flush=True)
 
 
-def _formatted(name: str, value: float | str) -> str:
+def _format(name: str, value: float | str) -> str:
     return value if isinstance(value, str) else _FORMATS.get(name, name + " {:.3g}").format(value)

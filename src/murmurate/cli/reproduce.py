@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import shlex
 import time
 from argparse import Namespace
@@ -15,9 +14,7 @@ from murmurate.cli.arguments import Parser
 from murmurate.errors import UsageError
 
 if TYPE_CHECKING:
-    from murmurate.cli.progress import Progress
     from murmurate.report.plan import Plan
-    from murmurate.report.runs import Result
 
 __all__ = ["run"]
 
@@ -37,6 +34,9 @@ def run(argv: Sequence[str]) -> int:
     parser.add_argument("--out", metavar="DIR", help="report folder (default: reproduction, or reproduction-quick)")
     parser.add_argument("--runs", metavar="DIR", default=RUNS, help=f"folder of all run folders (default: {RUNS})")
     parser.add_argument("--seed", type=int, metavar="INT", default=SEED, help=f"seed of every run (default: {SEED})")
+    text = "train in so many processes of one core each (default: one run after the other, on all cores)"
+    parser.add_argument("--workers", type=int, metavar="INT", help=text)
+    parser.add_argument("--quiet", action="store_true", help="do not show the progress")
     parser.epilog = "Finished runs are reused, and unfinished ones go on: after an interruption, give the same command."
     options, _ = parser.parse(argv)
     runs, out = Path(options.runs), Path(options.out or f"reproduction{'-quick' if options.quick else ''}")
@@ -44,70 +44,50 @@ def run(argv: Sequence[str]) -> int:
         raise UsageError("--out and --runs are the same folder: the report needs one of its own")
     from murmurate.report.plan import make_plan
 
-    words, full = _words(options), _words(options, full=True)
     try:
-        reproduce(make_plan(options.seed, options.quick), runs, out, words, full, begun)
+        reproduce(make_plan(options.seed, options.quick), runs, out, options, begun)
     except KeyboardInterrupt:
-        raise KeyboardInterrupt(f"interrupted; the same command goes on: {words}") from None
+        raise KeyboardInterrupt(f"interrupted; the same command goes on: {_command(options)}") from None
     return 0
 
 
-def _words(options: Namespace, full: bool = False) -> str:
-    """Writes the command line; with `full`, that of the full report, in a folder of its own."""
-    words = ["murmurate", "reproduce"]
-    if not full:
-        words += ["--quick"] * options.quick + (["--out", options.out] if options.out else [])
-    words += ["--runs", options.runs] if options.runs != RUNS else []
-    words += ["--seed", str(options.seed)] if options.seed != SEED else []
-    return shlex.join(words)
-
-
-def reproduce(plan: Plan, runs: Path, out: Path, words: str, full: str, begun: float) -> None:
+def reproduce(plan: Plan, runs: Path, out: Path, options: Namespace, begun: float) -> None:
     """Trains what is missing of a plan and writes its report.
 
     Args:
         plan: The runs.
         runs: The folder of all run folders.
         out: The report folder.
-        words: The command line.
-        full: The command line of the full report.
+        options: The options of the command line.
         begun: When the command began, by `time.perf_counter`.
 
     Raises:
         RunError: A folder holds something else, is damaged, or cannot be written to.
     """
-    from murmurate.report import folder
-    from murmurate.report import runs as work
-    from murmurate.report.material import Command, Material
-    from murmurate.report.report import make_report
+    from murmurate.report import report
+    from murmurate.report import runs as planned
+    from murmurate.report.data import Command, ReportData
+    from murmurate.runs.execute import InProcess, LocalProcesses
 
-    found = Counter(work.check(plan, runs).values())
-    folder.check(out)
-    parts = f"{found['finished']} finished, {found['unfinished']} to go on with, {found['new']} to train"
+    executor = InProcess() if options.workers is None else LocalProcesses(options.workers)
+    states = Counter(planned.check(plan, runs).values())
+    report.check(out)
+    parts = f"{states['finished']} finished, {states['unfinished']} to go on with, {states['new']} to train"
     print(f"{len(plan.runs)} runs in {runs}: {parts}", flush=True)
-    results = _train(plan, runs)
+    results = planned.train(plan, runs, executor, options.quiet)
     print("drawing the report", flush=True)
-    command = Command(words, full, time.perf_counter() - begun, found["finished"])
-    folder.write(make_report(Material(plan, results, command)), out)
-    print(f"report: {out / folder.HTML}, {out / folder.MARKDOWN}")
-    print(f"numbers: {out / folder.NUMBERS}")
+    full = _command(options, full=True)
+    command = Command(_command(options), full, time.perf_counter() - begun, states["finished"])
+    report.write(report.make(ReportData(plan, results, command)), out)
+    print(f"report: {out / report.HTML}, {out / report.MARKDOWN}")
+    print(f"numbers: {out / report.NUMBERS}")
 
 
-def _train(plan: Plan, runs: Path) -> list[Result]:
-    """Trains one run after the other, and says what came of each."""
-    from murmurate.cli.progress import Progress
-    from murmurate.report import runs as work
-
-    results = []
-    for place, planned in enumerate(plan.runs, 1):
-        head = f"run {place} of {len(plan.runs)}"
-        # Live lines of its own for each run: those of all would not fit on a screen.
-        with Progress() as progress:
-            result = work.train(planned, runs, functools.partial(_show, progress, f"{head} ({planned.title})"))
-        print(f"{head}: {planned.title}: {result.summary['valid']:.1%} valid", flush=True)
-        results.append(result)
-    return results
-
-
-def _show(progress: Progress, head: str, work: str, done: int, total: int, **values: float | str) -> None:
-    progress.update(f"{head}: {work}", done, total, **values)
+def _command(options: Namespace, full: bool = False) -> str:
+    """Returns the command line; with `full`, that of the full report, in a folder of its own."""
+    words = ["murmurate", "reproduce"]
+    if not full:
+        words += ["--quick"] * options.quick + (["--out", options.out] if options.out else [])
+    words += ["--runs", options.runs] if options.runs != RUNS else []
+    words += ["--seed", str(options.seed)] if options.seed != SEED else []
+    return shlex.join(words)

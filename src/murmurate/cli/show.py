@@ -2,20 +2,30 @@
 
 from __future__ import annotations
 
+from argparse import Namespace
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from murmurate.cli.arguments import Parser
-from murmurate.errors import UsageError
+from murmurate.errors import UsageError, check_choice
 
 if TYPE_CHECKING:
-    from murmurate.plots import Record
+    from murmurate.plots import Recording
 
 __all__ = ["run"]
 
-WEIGHTS = ("robots", "start", "objective", "sensing", "scheduler", "seed")
+PRETRAINED: dict[str, Any] = {
+    "robots": 8,
+    "start": "random",
+    "objective": "C2",
+    "sensing": "visible",
+    "scheduler": "fsync",
+    "seed": 0,
+}
+"""The options of the package's weights, with their defaults."""
+
 STARTS = ("random", "scattered", "distributed", "packed")
 
 EPISODES = 32
@@ -27,6 +37,7 @@ def run(argv: Sequence[str]) -> int:
     parser = Parser("show", "RUN...", "Draws the figure and the animation of a run; of several, their patterns.")
     parser.add_argument("runs", metavar="RUN", nargs="*", help="finished runs; none: the package's weights")
     parser.add_argument("--episode", type=int, metavar="INT", help="which episode (default: a typical one)")
+    parser.add_argument("--animation", metavar="FILE", help="write this file only, a .webp, .gif or .mp4")
     parser.add_argument("--mp4", action="store_true", help="animate as mp4 (needs the video extra) instead of GIF")
     parser.add_argument("--out", metavar="DIR", help="where to write (default: RUN/figures, or a folder in runs)")
     parser.add_argument("--robots", type=int, metavar="INT", help="swarm size, without RUN (default: 8)")
@@ -37,70 +48,69 @@ def run(argv: Sequence[str]) -> int:
     parser.add_argument("--seed", type=int, metavar="INT", help="seed of the starts (default: 0)")
     options, _ = parser.parse(argv)
     folders = [Path(word) for word in options.runs]
-    chosen = {name: value for name in WEIGHTS if (value := getattr(options, name)) is not None}
-    if folders and chosen:
-        raise UsageError(f"--{next(iter(chosen))} is for the package's weights: give it without RUN")
-    if not folders:
-        return _show(_formed(options.out, **chosen), None, options.episode, options.mp4)
-    if len(folders) == 1:
-        return _show(folders[0], options.out, options.episode, options.mp4)
-    if options.out is None or options.episode is not None or options.mp4:
-        raise UsageError("of several runs, only the patterns are drawn: give --out, and neither --episode nor --mp4")
-    return _show_patterns(folders, Path(options.out))
+    given = {name: value for name in PRETRAINED if (value := getattr(options, name)) is not None}
+    if folders and given:
+        raise UsageError(f"--{next(iter(given))} is for the package's weights: give it without RUN")
+    if options.animation is not None and (options.mp4 or options.out is not None):
+        raise UsageError("--animation names the only file to write: give it without --mp4 and --out")
+    if len(folders) > 1:
+        if options.out is None or options.episode is not None or options.mp4 or options.animation is not None:
+            flags = "--episode, --animation nor --mp4"
+            raise UsageError(f"of several runs, only the patterns are drawn: give --out, and neither {flags}")
+        return _draw_patterns(folders, Path(options.out))
+
+    from murmurate import plots
+    from murmurate.plots.animation import check_target
+
+    if options.animation is not None:
+        check_target(options.animation, "--animation")  # before patterns are formed
+    if folders:
+        return _draw(plots.Recording.open(folders[0]), Path(options.out or folders[0] / "figures"), options)
+    return _form_patterns(options, **PRETRAINED | given)
 
 
-def _formed(
-    out: str | None,
-    robots: int = 8,
-    start: Any = "random",
-    objective: str = "C2",
-    sensing: str = "visible",
-    scheduler: str = "fsync",
-    seed: int = 0,
-) -> Path:
-    """Lets the package's weights form patterns, and returns the folder of that run."""
-    from murmurate import pretrained
-    from murmurate.errors import check_choice
+def _form_patterns(
+    options: Namespace, robots: int, start: Any, objective: str, sensing: str, scheduler: str, seed: int
+) -> int:
+    """Lets the package's weights form patterns, keeps them as a run unless only an animation is wanted, and draws."""
+    from murmurate import plots, pretrained
     from murmurate.runs.evaluate import evaluate
     from murmurate.world import Start
 
     check_choice("start", start, STARTS)
     run = pretrained(objective, sensing, scheduler).of_size(robots)
     run = run.under(replace(run.experiment, sizes=(), start=Start.registered()[start]()))
-    folder = Path(out or f"runs/{objective}-{sensing}-{scheduler}-{robots}-{start}-seed{seed}")
     evaluation = evaluate(run, EPISODES, seed)
+    valid = int(evaluation.validity.valid.sum())
+    summary = f"{robots} robots, {EPISODES} starts: {valid} ended in a valid pattern"
+    if options.animation is not None:
+        print(summary)
+        return _draw(plots.Recording(run.experiment, evaluation.trajectories), Path(), options)
+    folder = Path(options.out or f"runs/{objective}-{sensing}-{scheduler}-{robots}-{start}-seed{seed}")
     run.save(folder)
     evaluation.save(folder)
-    print(f"{robots} robots, {EPISODES} starts: {int(evaluation.validity.valid.sum())} ended in a valid pattern")
-    return folder
+    print(summary)
+    return _draw(plots.Recording.open(folder), folder / "figures", options)
 
 
-def _show(folder: Path, to: str | None, episode: int | None, mp4: bool) -> int:
+def _draw(recording: Recording, out: Path, options: Namespace) -> int:
+    """Draws the figure and the animation of one run, or the animation alone."""
     from murmurate import plots
 
-    record, out = _record(folder), Path(to or folder / "figures")
-    animation = out / f"discovery.{'mp4' if mp4 else 'gif'}"
-    figure = plots.discovery_figure(record, episode)
-    plots.animate(record, animation, episode)
-    plots.save(figure, out / "discovery.png")
-    print(f"picture: {out / 'discovery.png'}")
+    animation = Path(options.animation or out / f"discovery.{'mp4' if options.mp4 else 'gif'}")
+    plots.animate(recording, animation, options.episode)
+    if options.animation is None:
+        plots.save(plots.discovery_figure(recording, options.episode), out / "discovery.png")
+        print(f"picture: {out / 'discovery.png'}")
     print(f"animation: {animation}")
     return 0
 
 
-def _show_patterns(folders: list[Path], out: Path) -> int:
+def _draw_patterns(folders: list[Path], out: Path) -> int:
     from murmurate import plots
 
-    records = [_record(folder) for folder in folders]
-    plots.save(plots.patterns_figure(records, [record.name for record in records]), out / "patterns.png")
+    recordings = [plots.Recording.open(folder) for folder in folders]
+    names = [recording.experiment.name for recording in recordings]
+    plots.save(plots.patterns_figure(recordings, names), out / "patterns.png")
     print(f"picture: {out / 'patterns.png'}")
     return 0
-
-
-def _record(folder: Path) -> Record:
-    """Opens the record of a run whose files are as its manifest says."""
-    from murmurate import plots
-    from murmurate.runs import storage
-
-    storage.verify(folder, storage.read_manifest(folder))
-    return plots.Record.open(folder)

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from murmurate import prng
 from murmurate.discovery.cascade import Cascade
 from murmurate.discovery.problem import Problem
 from murmurate.errors import InputError
@@ -27,7 +28,6 @@ from murmurate.world import (
     Wrapper,
     check_start,
     draw_starts,
-    new_key,
     with_array_leaves,
 )
 
@@ -89,7 +89,7 @@ def build_cascade(problem: Problem, policies: Sequence[Any], world: World | None
 
 def policy_templates(problem: Problem, count: int) -> tuple[Any, ...]:
     """Returns `count` policy networks without numbers, to load weights into."""
-    key = jax.eval_shape(lambda: new_key(0))
+    key = jax.eval_shape(lambda: prng.key(0))
     template, _ = eqx.filter_eval_shape(_networks, problem.policy, problem.world, problem.landmark, key)
     return (template,) * count
 
@@ -103,7 +103,7 @@ def check_parts(problem: Problem) -> None:
     """
     world = build_world(problem)
     robots, batch = problem.world.robots, 2
-    positions = jnp.moveaxis(jnp.asarray(draw_starts(world.start, new_key(problem.seed), batch, world.config)), 0, -1)
+    positions = jnp.moveaxis(jnp.asarray(draw_starts(world.start, prng.key(problem.seed), batch, world.config)), 0, -1)
     each, pairs, whole = (robots, batch), (robots, robots, batch), (batch,)
     for name, signal in world.objective.signals.items():
         if signal.is_foreign():
@@ -141,10 +141,10 @@ def _check_policy(problem: Problem, env: World | Wrapper, positions: Float[Array
     robots, _, batch = positions.shape
 
     def act() -> tuple[Any, ...]:
-        policy, value = problem.policy.networks(problem.world, problem.landmark, new_key(problem.seed))
+        policy, value = problem.policy.networks(problem.world, problem.landmark, prng.key(problem.seed))
         observation = env.observe(env.state(positions))
         velocities = policy(observation)
-        action = policy.distribution(observation).sample(new_key(problem.seed))
+        action = policy.distribution(observation).sample(prng.key(problem.seed))
         return velocities, action, policy.distribution(observation).log_prob(action), value(observation)
 
     actions = (robots if problem.policy.credit == "robots" else 1, batch)

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from murmurate import prng
 from murmurate.errors import GREATEST, MOST, check_number
 from murmurate.types import Trajectories
 from murmurate.world import World, Wrapper
@@ -92,6 +93,7 @@ class Cascade(eqx.Module):
         """The world inside all wrappers."""
         return self.env.unwrapped if isinstance(self.env, Wrapper) else self.env
 
+    @prng.reproducible()
     def rollout(self, starts: Float[np.ndarray, "episodes robots 2"], seed: int = 0) -> Trajectories:
         """Executes the cascade from the given configurations, always with the most likely action.
 

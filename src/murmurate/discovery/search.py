@@ -17,7 +17,7 @@ from murmurate.discovery.curriculum import Curriculum
 from murmurate.discovery.problem import Problem
 from murmurate.discovery.stage import Stage, draw_key, policy_name, repeat_to, training_world
 from murmurate.discovery.validity import check_validity
-from murmurate.learning import TrainState, check_divides, hosts, train_together
+from murmurate.learning import TrainState, check_divides, sharding, train_together
 from murmurate.world import JitteredStart, SymmetricStart, UniformStart, World, check_start, draw_starts
 
 __all__ = ["Search", "Snapshot", "advance_together"]
@@ -125,7 +125,7 @@ class Search:
             starts = draw_starts(world.start, key, part.discovery.episodes, world.config)
             trajectories = build_cascade(part, policies, world).rollout(starts)
             valid.append(check_validity(trajectories, part.world, part.thresholds).valid)
-        return float(hosts.agreed(np.concatenate(valid)).mean())
+        return float(sharding.broadcast(np.concatenate(valid)).mean())
 
     def conclude(self, snapshot: Snapshot, policy: Any) -> Snapshot:
         """Appends a trained policy, evaluates from sigma, and decides whether the list is complete."""
@@ -135,7 +135,7 @@ class Search:
         world = training_world(self.problem, 0, self.world.start, self.begin().sigma)
         starts = draw_starts(world.start, draw_key(self.problem, index, "sigma"), config.sigma, world.config)
         trajectories = build_cascade(self.problem, policies, self.world).rollout(starts)
-        final, terminated = hosts.agreed((trajectories.final, trajectories.terminated))
+        final, terminated = sharding.broadcast((trajectories.final, trajectories.terminated))
         alive = final[~terminated]
         valid = self.validity(policies, index)
         complete = len(policies) >= config.min_policies and valid >= config.required_valid

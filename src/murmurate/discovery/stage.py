@@ -12,10 +12,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from murmurate import prng
 from murmurate.discovery.build import build_environment, build_networks
 from murmurate.discovery.curriculum import Curriculum
 from murmurate.discovery.problem import Problem
-from murmurate.learning import Chunk, Hyperparameters, Shape, TrainState, init
+from murmurate.learning import Chunk, Hyperparameters, Shape, TrainState, init, set_log_std
 from murmurate.world import (
     ActionRepeat,
     JitteredStart,
@@ -25,7 +26,6 @@ from murmurate.world import (
     UniformStart,
     World,
     Wrapper,
-    new_key,
     with_array_leaves,
 )
 
@@ -42,7 +42,7 @@ def policy_name(index: int) -> str:
 
 def draw_key(problem: Problem, index: int, purpose: str) -> PRNGKeyArray:
     """Returns the key for one purpose at a place in the list: it depends on nothing that ran before."""
-    return jax.random.fold_in(jax.random.fold_in(new_key(problem.seed), index), PURPOSES.index(purpose))
+    return jax.random.fold_in(jax.random.fold_in(prng.key(problem.seed), index), PURPOSES.index(purpose))
 
 
 def training_world(problem: Problem, index: int, start: Start, sigma: Float[Array, "sigma robots 2"]) -> World:
@@ -115,9 +115,7 @@ class Stage:
         problem = self.curriculum.problem
         policy, value = build_networks(problem, draw_key(problem, self.index, "networks"))
         policy = policy if warm_start is None else warm_start
-        if hasattr(policy, "log_std"):
-            spread = jnp.full_like(policy.log_std, self.config.ppo.log_std)
-            policy = eqx.tree_at(lambda p: p.log_std, policy, spread)
+        policy = set_log_std(policy, self.config.ppo.log_std)
         states = tuple(self._worlds(place) for place in range(len(self.curriculum.parts)))
         return init(policy, value, states, draw_key(problem, self.index, "training"))
 
@@ -128,7 +126,7 @@ class Stage:
         ppo = self.curriculum.parts[place].stage(self.index).ppo
         train = eqx.tree_at(lambda t: t.env_state, train, train.env_state[place])
         updates = self.curriculum.chunk(self.index, update)
-        return Chunk(train, self.environment(place), Hyperparameters.create(ppo), Shape.create(ppo), updates)
+        return Chunk(train, self.environment(place), Hyperparameters.from_config(ppo), Shape.from_config(ppo), updates)
 
     def after_chunk(
         self, before: TrainState, trained: TrainState, metrics: dict[str, Any]

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, PyTree, UInt32
 
+from murmurate import prng
 from murmurate.world import Start, WorldConfig
 
 __all__ = ["Episodes", "Outcome"]
@@ -119,7 +120,7 @@ def _batch_first(tree: PyTree[Array]) -> PyTree[Array]:
 
 @partial(jax.jit, static_argnums=3)
 def _drawn(start: Start, world: WorldConfig, seed: UInt32[Array, ""], batch: int) -> Float[Array, "batch robots 2"]:
-    return start.sample(jax.random.key(seed), batch, world)
+    return start.sample(prng.key(seed), batch, world)
 
 
 @partial(jax.jit, static_argnums=0)

@@ -1,24 +1,39 @@
-"""Proximal policy optimisation on anything that is an `Environment`. Knows nothing of robots."""
+"""Proximal policy optimisation for any `Environment`, `Policy` and `Value`; nothing here depends on robots.
+
+An environment holds a batch of episodes, the batch on the last axis. A policy maps an observation to a distribution of
+actions, a value network to the expected returns; both are Equinox modules. `init` begins a training, and each call of
+`train_chunk` runs some updates of it.
+"""
 
 from murmurate.learning.advantage import generalized_advantage, rewards_to_go
 from murmurate.learning.config import Hyperparameters, PPOConfig, Schedule, Shape, ValueTarget
-from murmurate.learning.environment import Environment, Transition, step_with_autoreset
+from murmurate.learning.environment import (
+    ActionDistribution,
+    Environment,
+    Policy,
+    Transition,
+    Value,
+    step_with_autoreset,
+)
 from murmurate.learning.losses import Batch, policy_loss, value_loss
-from murmurate.learning.ppo import Rollout, TrainState, collect, init, train_chunk
+from murmurate.learning.ppo import Rollout, TrainState, collect, init, set_log_std, train_chunk
 from murmurate.learning.sharding import check_divides
 from murmurate.learning.together import Chunk, train_together
 
 __all__ = [
+    "ActionDistribution",
     "Batch",
     "Chunk",
     "Environment",
     "Hyperparameters",
     "PPOConfig",
+    "Policy",
     "Rollout",
     "Schedule",
     "Shape",
     "TrainState",
     "Transition",
+    "Value",
     "ValueTarget",
     "check_divides",
     "collect",
@@ -26,6 +41,7 @@ __all__ = [
     "init",
     "policy_loss",
     "rewards_to_go",
+    "set_log_std",
     "step_with_autoreset",
     "train_chunk",
     "train_together",

@@ -21,14 +21,14 @@ def generalized_advantage(
     discount: float,
     gae_lambda: float,
 ) -> Trajectories:
-    """Estimates advantages (paper, equations 14 and 15).
+    """Computes generalised advantage estimates (paper, equations 14 and 15).
 
     Args:
         reward: Rewards of the steps.
-        value: Values before the steps.
-        next_value: Values after the steps, of the same episode: what bootstraps a truncated one.
-        terminated: Steps after which nothing follows.
-        truncated: Steps after which the episode was cut off.
+        value: Values of the states before the steps.
+        next_value: Values of the states after the steps, before any reset; they bootstrap truncated episodes.
+        terminated: Steps that ended their episode in the environment.
+        truncated: Steps at which a time limit ended the episode.
         discount: The paper's gamma.
         gae_lambda: The paper's lambda.
 
@@ -41,10 +41,10 @@ def generalized_advantage(
 
 
 def rewards_to_go(reward: Trajectories, next_value: Trajectories, terminated: Flags, truncated: Flags) -> Trajectories:
-    """Sums the rewards from each step to its episode's end, undiscounted (paper, Algorithm 1, line 5).
+    """Computes the undiscounted sum of rewards from each step to the end of its episode (paper, Algorithm 1, line 5).
 
-    Where the trajectory is cut off, by a time limit or by the end of the batch, the value of what would have followed
-    is added; without it the target would depend on where the cut happens to fall.
+    Where a time limit or the end of the batch cuts the trajectory, the value of the next state is added. Without it the
+    target would depend on where the cut falls.
     """
     cut = truncated.at[-1].set(True) & ~terminated
     carry_on = (~(terminated | cut)).astype(reward.dtype)

@@ -1,4 +1,4 @@
-"""Numbers of proximal policy optimisation, and schedules of those that change while it runs."""
+"""Configuration of proximal policy optimisation, and schedules of the numbers that change during training."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ __all__ = ["Exploration", "Hyperparameters", "PPOConfig", "Schedule", "Shape", "
 
 ValueTarget = Literal["gae", "rewards-to-go"]
 Exploration = Literal["learned", "scheduled"]
-_FINITE = 1e30  # still a number in float32
+_MAX_NUMBER = 1e30  # finite in float32
 
 
 @dataclass(frozen=True)
 class PPOConfig:
-    """Numbers of proximal policy optimisation (the paper's Table I and what it leaves unsaid).
+    """Configuration of proximal policy optimisation (the paper's Table I, and what the paper leaves open).
 
     Attributes:
-        updates: The paper's Z: learning epochs, each a fresh batch of trajectories.
-        worlds: Parallel episodes.
-        steps: Steps of each of them in one update.
-        epochs: Passes over the batch of trajectories.
-        minibatches: Parts of each pass.
+        updates: Number of updates, each from a new batch of trajectories (the paper's Z).
+        worlds: Number of parallel episodes.
+        steps: Steps of each episode in one update.
+        epochs: Passes over each batch of trajectories.
+        minibatches: Minibatches in each pass.
         discount: The paper's gamma.
         gae_lambda: The paper's lambda.
         policy_rate: The paper's alpha at the first update.
@@ -36,14 +36,14 @@ class PPOConfig:
         value_rate: The paper's beta at the first update.
         value_rate_end: beta at the last update.
         clip: The paper's epsilon_c at the first update.
-        clip_end: epsilon_c at the last update; above `clip` it is the paper's gradual increase.
+        clip_end: epsilon_c at the last update (the paper increases it gradually).
         value_target: gae (advantage plus value) or rewards-to-go (undiscounted, as the paper prints it).
-        reward_scale: Factor on every reward while learning.
+        reward_scale: Factor on every reward in training.
         max_gradient: Bound on the global norm of each network's gradient.
-        exploration: Whether the spread of the actions is learned with the policy or scheduled. A learned one stays wide
-            where noise itself pays, and what only noise reaches is lost when the most likely action is executed.
-        log_std: Natural logarithm of the spread at the first update, in the policy's unit: the speed limit, for robots.
-        log_std_end: The same at the last update, where it is scheduled.
+        exploration: learned (the policy holds the standard deviation of the actions as a parameter) or scheduled. A
+            learned one stays wide where the noise itself earns reward, which the most likely action does not get.
+        log_std: Natural logarithm of the standard deviation at the first update, relative to the speed limit.
+        log_std_end: The same at the last update, if it is scheduled.
     """
 
     updates: int = 100
@@ -76,9 +76,9 @@ class PPOConfig:
         for name in ("discount", "gae_lambda"):
             check_number(name, getattr(self, name), 0, 1)
         for name in ("policy_rate", "policy_rate_end", "value_rate", "value_rate_end"):
-            check_number(name, getattr(self, name), 0, _FINITE)
+            check_number(name, getattr(self, name), 0, _MAX_NUMBER)
         for name in ("clip", "clip_end", "reward_scale", "max_gradient"):
-            check_number(name, getattr(self, name), 0, _FINITE, exclusive_low=True)
+            check_number(name, getattr(self, name), 0, _MAX_NUMBER, exclusive_low=True)
         for name in ("log_std", "log_std_end"):
             check_number(name, getattr(self, name), -20, 20)
         check_choice("value_target", self.value_target, get_args(ValueTarget))
@@ -86,7 +86,7 @@ class PPOConfig:
 
 
 class Schedule(eqx.Module):
-    """A number that goes linearly from `start` to `end` over the whole training."""
+    """A number that changes linearly from `start` to `end` over the whole training."""
 
     start: Any
     end: Any
@@ -97,7 +97,7 @@ class Schedule(eqx.Module):
 
 
 class Hyperparameters(eqx.Module):
-    """The numbers of `PPOConfig` that can change without recompiling; `log_std` is None where it is learned."""
+    """The numbers of `PPOConfig` that can change without recompiling; `log_std` is None if it is learned."""
 
     updates: Any
     discount: Any
@@ -110,10 +110,10 @@ class Hyperparameters(eqx.Module):
     log_std: Schedule | None
 
     @classmethod
-    def create(cls, config: PPOConfig) -> Hyperparameters:
-        """Takes them from a configuration."""
+    def from_config(cls, config: PPOConfig) -> Hyperparameters:
+        """Returns the numbers of a configuration."""
         numbers = cls(
-            updates=config.updates,
+            updates=jnp.asarray(config.updates, jnp.int32),
             discount=config.discount,
             gae_lambda=config.gae_lambda,
             policy_rate=Schedule(config.policy_rate, config.policy_rate_end),
@@ -123,8 +123,8 @@ class Hyperparameters(eqx.Module):
             max_gradient=config.max_gradient,
             log_std=Schedule(config.log_std, config.log_std_end) if config.exploration == "scheduled" else None,
         )
-        # Arrays, because equinox compiles plain numbers in.
-        return jax.tree.map(jnp.asarray, numbers)
+        # Equinox compiles plain numbers into the program, so they become arrays; their type is not left to JAX's flags.
+        return jax.tree.map(lambda x: x if isinstance(x, jax.Array) else jnp.asarray(x, jnp.float32), numbers)
 
 
 @dataclass(frozen=True)
@@ -138,6 +138,6 @@ class Shape:
     value_target: ValueTarget
 
     @classmethod
-    def create(cls, config: PPOConfig) -> Shape:
-        """Takes them from a configuration."""
+    def from_config(cls, config: PPOConfig) -> Shape:
+        """Returns the numbers of a configuration."""
         return cls(config.worlds, config.steps, config.epochs, config.minibatches, config.value_target)

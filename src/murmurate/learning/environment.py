@@ -1,4 +1,4 @@
-"""All that learning knows of an environment, and the one wrapper that begins new episodes."""
+"""The interfaces of learning: an environment, a policy and a value network; and the step that starts new episodes."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
-__all__ = ["Environment", "Transition", "step_with_autoreset"]
+__all__ = ["ActionDistribution", "Environment", "Policy", "Transition", "Value", "step_with_autoreset"]
 
 
 class Transition(Protocol):
-    """What one step brought; the batch is last."""
+    """The result of one step; the batch is the last axis."""
 
     @property
     def reward(self) -> Float[Array, " batch"]:
@@ -21,30 +21,30 @@ class Transition(Protocol):
 
     @property
     def terminated(self) -> Bool[Array, " batch"]:
-        """The episode ended in the environment: nothing follows."""
+        """Whether the episode ended in the environment, so that its value is zero from here on."""
         ...
 
     @property
     def truncated(self) -> Bool[Array, " batch"]:
-        """The episode was cut off by a time limit: something would have followed."""
+        """Whether a time limit ended the episode, so that the value of its last state is bootstrapped."""
         ...
 
     @property
     def credit(self) -> Float[Array, "actions batch"]:
-        """What each action of the step is taught by: the reward, or its part of the reward where that is known."""
+        """Reward of each action of the step: the whole reward, or the action's own part of it."""
         ...
 
     @property
     def signals(self) -> dict[str, Float[Array, " batch"]]:
-        """Named quantities worth averaging in the metrics."""
+        """Quantities by name; the metrics hold their means."""
         ...
 
 
 class Environment(Protocol):
-    """A batch of Markov decision processes; no step begins a new episode by itself."""
+    """A batch of Markov decision processes; `step` never starts a new episode."""
 
     def reset_batch(self, key: PRNGKeyArray, batch: int) -> Any:
-        """Begins a batch of episodes, each at a fresh start."""
+        """Returns the states of a batch of new episodes, each from a newly drawn start."""
         ...
 
     def step(self, state: Any, action: Any) -> tuple[Any, Transition]:
@@ -52,28 +52,62 @@ class Environment(Protocol):
         ...
 
     def observe(self, state: Any) -> Any:
-        """Returns what policy and value networks are given, the batch last."""
+        """Returns the input of the policy and value networks; the batch is the last axis of every array."""
+        ...
+
+
+class ActionDistribution(Protocol):
+    """The distribution of the actions in a batch of episodes; the batch is the last axis."""
+
+    def sample(self, key: PRNGKeyArray) -> Any:
+        """Returns one action for each episode, as the environment's `step` takes them."""
+        ...
+
+    def log_prob(self, action: Any) -> Float[Array, "actions batch"]:
+        """Returns the log density of an action, one number for each entry of the transition's `credit`."""
+        ...
+
+
+class Policy(Protocol):
+    """A policy network: an Equinox module whose floating-point arrays are trained.
+
+    If it has an array `log_std`, the logarithm of the standard deviation of its actions, training sets this array
+    before the first update, and at every update with `exploration = "scheduled"`. Without one, use
+    `exploration = "learned"`.
+    """
+
+    def distribution(self, observation: Any) -> ActionDistribution:
+        """Returns the distribution of the actions."""
+        ...
+
+
+class Value(Protocol):
+    """A value network: an Equinox module whose floating-point arrays are trained."""
+
+    def __call__(self, observation: Any) -> Float[Array, "actions batch"]:
+        """Returns the estimated return of each action's credit; of the same shape as `credit`."""
         ...
 
 
 def step_with_autoreset(env: Environment, state: Any, action: Any, key: PRNGKeyArray) -> tuple[Any, Transition, Any]:
-    """Steps every episode, then replaces those that ended by fresh ones.
+    """Steps every episode, then replaces the ended ones by new ones.
 
     Args:
         env: The environment.
-        state: Its batch of states.
-        action: One action for each.
-        key: Randomness of the fresh starts.
+        state: A batch of its states.
+        action: One action for each episode.
+        key: The key of the new starts.
 
     Returns:
-        The states to go on from, the transition, and the observation after the step BEFORE any new episode began (the
-        one whose value bootstraps a truncated episode).
+        The states to continue from, the transition, and the observation after the step but BEFORE any reset (its value
+        bootstraps a truncated episode).
     """
     after, transition = env.step(state, action)
     done = transition.terminated | transition.truncated
 
-    def restart(after: Any) -> Any:
+    # New starts are drawn for the whole batch, so only at steps where an episode ended.
+    def reset(after: Any) -> Any:
         fresh = env.reset_batch(key, done.shape[0])
         return jax.tree.map(lambda new, old: jnp.where(done, new, old), fresh, after)
 
-    return jax.lax.cond(jnp.any(done), restart, lambda after: after, after), transition, env.observe(after)
+    return jax.lax.cond(jnp.any(done), reset, lambda after: after, after), transition, env.observe(after)

@@ -1,7 +1,7 @@
-"""Clipped proximal policy optimisation: collect, estimate, improve, all under one jit.
+"""Clipped proximal policy optimisation: collect trajectories, estimate advantages, improve; all under one jit.
 
-Policy and value are two networks with an optimiser and a learning rate each (the paper's alpha and beta). Nothing here
-knows what the environment is about.
+Policy and value are two networks, each with its own optimiser and learning rate (the paper's alpha and beta). Nothing
+here knows what the environment is about.
 """
 
 from __future__ import annotations
@@ -12,21 +12,23 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import optax
-from jaxtyping import Array, Float, Int, PRNGKeyArray, UInt32
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, UInt32
 
+from murmurate import prng
+from murmurate.errors import InputError
 from murmurate.learning import sharding
 from murmurate.learning.advantage import generalized_advantage, rewards_to_go
 from murmurate.learning.config import Hyperparameters, Shape
-from murmurate.learning.environment import Environment, Transition, step_with_autoreset
+from murmurate.learning.environment import Environment, Policy, Transition, Value, step_with_autoreset
 from murmurate.learning.losses import Batch, policy_loss, value_loss
 
-__all__ = ["Rollout", "TrainState", "collect", "init", "train_chunk"]
+__all__ = ["Rollout", "TrainState", "collect", "init", "set_log_std", "train_chunk"]
 
 _adam = optax.scale_by_adam(eps=1e-5)
 
 
 class TrainState(eqx.Module):
-    """All that training carries from one update to the next; saving it is a checkpoint."""
+    """Everything that training carries from one update to the next; a checkpoint saves it whole."""
 
     policy: Any
     value: Any
@@ -38,7 +40,7 @@ class TrainState(eqx.Module):
 
 
 class Rollout(eqx.Module):
-    """Trajectories collected by one policy; time first, batch last."""
+    """Trajectories collected with one policy; time first, batch last."""
 
     observation: Any
     next_observation: Any
@@ -47,8 +49,8 @@ class Rollout(eqx.Module):
     transition: Any
 
 
-def init(policy: Any, value: Any, env_state: Any, key: PRNGKeyArray) -> TrainState:
-    """Begins training from the given networks and states of the environment."""
+def init(policy: Policy, value: Value, env_state: Any, key: PRNGKeyArray) -> TrainState:
+    """Returns the state of training before its first update."""
     return TrainState(
         policy=policy,
         value=value,
@@ -60,22 +62,40 @@ def init(policy: Any, value: Any, env_state: Any, key: PRNGKeyArray) -> TrainSta
     )
 
 
-def collect(env: Environment, policy: Any, state: Any, key: PRNGKeyArray, steps: int) -> tuple[Any, Rollout]:
-    """Lets a policy act, with exploration noise, for some steps in every episode of the batch.
+def set_log_std(policy: Any, log_std: Any, *, scheduled: bool = False) -> Any:
+    """Returns the policy with every entry of its `log_std` replaced; a policy without `log_std` stays as it is.
+
+    Args:
+        policy: The policy network.
+        log_std: The new logarithm of the standard deviation.
+        scheduled: The training will set `log_std` again at every update.
+
+    Raises:
+        InputError: The training schedules `log_std`, but the policy has none.
+    """
+    if hasattr(policy, "log_std"):
+        return eqx.tree_at(lambda p: p.log_std, policy, jnp.full_like(policy.log_std, log_std))
+    if scheduled:
+        raise InputError("exploration", "scheduled", "learned for a policy that has no array `log_std`")
+    return policy
+
+
+def collect(env: Environment, policy: Policy, state: Any, key: PRNGKeyArray, steps: int) -> tuple[Any, Rollout]:
+    """Steps every episode of the batch with actions sampled from a policy.
 
     Returns:
-        The states to go on from, and what happened.
+        The states after the last step, and the trajectories.
     """
 
-    def one(state: Any, key: PRNGKeyArray) -> tuple[Any, Rollout]:
-        act, restart = jax.random.split(key)
+    def step(state: Any, key: PRNGKeyArray) -> tuple[Any, Rollout]:
+        sample_key, reset_key = jax.random.split(key)
         observation = env.observe(state)
         distribution = policy.distribution(observation)
-        action = distribution.sample(act)
-        state, transition, after = step_with_autoreset(env, state, action, restart)
-        return state, Rollout(observation, after, action, distribution.log_prob(action), transition)
+        action = distribution.sample(sample_key)
+        state, transition, next_observation = step_with_autoreset(env, state, action, reset_key)
+        return state, Rollout(observation, next_observation, action, distribution.log_prob(action), transition)
 
-    return jax.lax.scan(one, state, jax.random.split(key, steps))
+    return jax.lax.scan(step, state, jax.random.split(key, steps))
 
 
 def _flatten(x: Array) -> Array:
@@ -84,10 +104,11 @@ def _flatten(x: Array) -> Array:
     return x.reshape((*x.shape[:-2], -1))
 
 
-def _batch(value: Any, rollout: Rollout, hyper: Hyperparameters, shape: Shape) -> Batch:
-    """Estimates advantages and value targets."""
+def _batch(value: Value, rollout: Rollout, hyper: Hyperparameters, shape: Shape) -> Batch:
+    """Computes advantages and value targets."""
     transition: Transition = rollout.transition
     reward = hyper.reward_scale * transition.credit
+    # One step of all worlds at a time, which bounds the memory.
     before, after = jax.lax.map(value, rollout.observation), jax.lax.map(value, rollout.next_observation)
     ends = (transition.terminated[:, None], transition.truncated[:, None])
     advantage = generalized_advantage(reward, before, after, *ends, hyper.discount, hyper.gae_lambda)
@@ -98,17 +119,17 @@ def _batch(value: Any, rollout: Rollout, hyper: Hyperparameters, shape: Shape) -
 
 
 def _minibatches(batch: Batch, key: PRNGKeyArray, count: int) -> Batch:
-    """Shuffles the steps and deals them into minibatches, on a new first axis; each is spread over the devices."""
-    order = jax.random.permutation(key, batch.log_prob.shape[-1])
+    """Shuffles the steps and splits them into minibatches, on a new first axis; each is spread over the devices."""
+    order = jax.random.permutation(key, jnp.arange(batch.log_prob.shape[-1], dtype=jnp.int32))
 
-    def deal(x: Array) -> Array:
+    def split(x: Array) -> Array:
         return jnp.moveaxis(x[..., order].reshape((*x.shape[:-1], count, -1)), -2, 0)
 
-    return sharding.parted(jax.tree.map(deal, batch))
+    return sharding.shard_batch(jax.tree.map(split, batch))
 
 
 def _descend(network: Any, moments: Any, gradient: Any, rate: Any, max_gradient: Any) -> tuple[Any, Any]:
-    """One step of Adam on a gradient whose GLOBAL norm is bounded."""
+    """Takes one step of Adam, after clipping the gradient's global norm."""
     norm = optax.tree.norm(gradient)
     gradient = jax.tree.map(lambda g: g * jnp.minimum(1.0, max_gradient / (norm + 1e-12)), gradient)
     direction, moments = _adam.update(gradient, moments)
@@ -118,36 +139,42 @@ def _descend(network: Any, moments: Any, gradient: Any, rate: Any, max_gradient:
 def _improve(
     state: TrainState, batch: Batch, hyper: Hyperparameters, progress: Any
 ) -> tuple[TrainState, dict[str, Any]]:
-    """One minibatch: a step of each network."""
-    rates = hyper.policy_rate(progress), hyper.value_rate(progress)
-    (loss, report), gradient = eqx.filter_value_and_grad(policy_loss, has_aux=True)(
+    """Takes one step of each network on one minibatch."""
+    policy_rate, value_rate = hyper.policy_rate(progress), hyper.value_rate(progress)
+    (loss, diagnostics), gradient = eqx.filter_value_and_grad(policy_loss, has_aux=True)(
         state.policy, batch, hyper.clip(progress)
     )
     if hyper.log_std is not None:
         gradient = eqx.tree_at(lambda g: g.log_std, gradient, replace_fn=jnp.zeros_like)
-    policy, policy_moments = _descend(state.policy, state.policy_moments, gradient, rates[0], hyper.max_gradient)
+    policy, policy_moments = _descend(state.policy, state.policy_moments, gradient, policy_rate, hyper.max_gradient)
     error, gradient = eqx.filter_value_and_grad(value_loss)(state.value, batch)
-    value, value_moments = _descend(state.value, state.value_moments, gradient, rates[1], hyper.max_gradient)
+    value, value_moments = _descend(state.value, state.value_moments, gradient, value_rate, hyper.max_gradient)
     state = eqx.tree_at(
         lambda s: (s.policy, s.value, s.policy_moments, s.value_moments),
         state,
         (policy, value, policy_moments, value_moments),
     )
-    return state, {"policy_loss": loss, "value_loss": error, **report}
+    return state, {"policy_loss": loss, "value_loss": error, **diagnostics}
+
+
+def _all_finite(tree: Any) -> Bool[Array, ""]:
+    leaves = jax.tree.leaves(eqx.filter(tree, eqx.is_inexact_array))
+    return jnp.all(jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in leaves]))
 
 
 def _update(
     state: TrainState, env: Environment, hyper: Hyperparameters, shape: Shape
 ) -> tuple[TrainState, dict[str, Any]]:
     """Collects one batch of trajectories and learns from it (one turn of Algorithm 1's loop)."""
-    key, act, shuffle = jax.random.split(jax.random.wrap_key_data(state.key), 3)
-    progress = state.update / jnp.maximum(hyper.updates - 1, 1)
+    key, collect_key, shuffle_key = jax.random.split(prng.wrap(state.key), 3)
+    progress = state.update.astype(jnp.float32) / jnp.maximum(hyper.updates - 1, 1).astype(jnp.float32)
     if hyper.log_std is not None:
-        spread = jnp.full_like(state.policy.log_std, hyper.log_std(progress))
-        state = eqx.tree_at(lambda s: s.policy.log_std, state, spread)
-    env_state, rollout = sharding.parted(collect(env, state.policy, state.env_state, act, shape.steps))
-    # Whole on every device, once: a shuffle takes from everywhere.
-    batch = sharding.replicated(_batch(state.value, rollout, hyper, shape))
+        state = eqx.tree_at(
+            lambda s: s.policy, state, set_log_std(state.policy, hyper.log_std(progress), scheduled=True)
+        )
+    env_state, rollout = sharding.shard_batch(collect(env, state.policy, state.env_state, collect_key, shape.steps))
+    # A shuffle takes steps from everywhere, so every device gets the whole batch, once.
+    batch = sharding.replicate(_batch(state.value, rollout, hyper, shape))
 
     def epoch(state: TrainState, key: PRNGKeyArray) -> tuple[TrainState, dict[str, Any]]:
         def step(state: TrainState, part: Batch) -> tuple[TrainState, dict[str, Any]]:
@@ -155,13 +182,15 @@ def _update(
 
         return jax.lax.scan(step, state, _minibatches(batch, key, shape.minibatches))
 
-    state, report = jax.lax.scan(epoch, state, jax.random.split(shuffle, shape.epochs))
+    state, losses = jax.lax.scan(epoch, state, jax.random.split(shuffle_key, shape.epochs))
     transition = rollout.transition
+    losses = jax.tree.map(jnp.mean, losses)
     metrics = {
         "reward": transition.reward.mean(),
         "terminated": transition.terminated.mean(dtype=jnp.float32),
         "signals": jax.tree.map(jnp.mean, transition.signals),
-        **jax.tree.map(jnp.mean, report),
+        **losses,
+        "finite": _all_finite((state.policy, state.value, losses)),
     }
     state = eqx.tree_at(
         lambda s: (s.env_state, s.key, s.update), state, (env_state, jax.random.key_data(key), state.update + 1)
@@ -173,24 +202,26 @@ def _update(
 def train_chunk(
     state: TrainState, env: Environment, hyper: Hyperparameters, shape: Shape, updates: int
 ) -> tuple[TrainState, dict[str, Any]]:
-    """Runs some updates without visiting the host.
+    """Runs some updates without returning to Python.
 
-    With several devices each simulates a part of the batch and computes its part of every gradient; what is returned is
+    With several devices each simulates a part of the batch and computes its part of every gradient. What is returned is
     whole on each of them.
 
     Args:
-        state: Where training stands.
+        state: The state of training.
         env: The environment.
-        hyper: Numbers that may change without recompiling.
-        shape: Numbers that may not.
-        updates: How many updates to run.
+        hyper: Numbers that can change without recompiling.
+        shape: Numbers that cannot.
+        updates: Number of updates.
 
     Returns:
-        Where training stands then, and the metrics of every update, each on a first axis of length `updates`.
+        The state of training after the updates, and the metrics of every update, each on a first axis of length
+        `updates`. The metric `finite` is false from the first update on after which a parameter or a loss is NaN or
+        infinite.
     """
 
     def step(state: TrainState, _: None) -> tuple[TrainState, dict[str, Any]]:
         return _update(state, env, hyper, shape)
 
-    state = eqx.tree_at(lambda s: s.env_state, state, sharding.parted(state.env_state))
-    return sharding.replicated(jax.lax.scan(step, state, None, length=updates))
+    state = eqx.tree_at(lambda s: s.env_state, state, sharding.shard_batch(state.env_state))
+    return sharding.replicate(jax.lax.scan(step, state, None, length=updates))

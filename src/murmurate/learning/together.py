@@ -1,4 +1,4 @@
-"""Many trainings as one: of the same structure and shapes, they run side by side in one compiled program."""
+"""Several trainings in one compiled program, for those whose structure and shapes agree."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ __all__ = ["Chunk", "train_together"]
 
 @dataclass(frozen=True)
 class Chunk:
-    """Some updates of one training, about to be run.
+    """The next updates of one training.
 
     Attributes:
-        state: Where training stands.
+        state: The state of training.
         env: The environment.
-        hyper: Numbers that may change without recompiling.
-        shape: Numbers that may not.
-        updates: How many updates to run.
+        hyper: Numbers that can change without recompiling.
+        shape: Numbers that cannot.
+        updates: Number of updates.
     """
 
     state: TrainState
@@ -39,47 +39,46 @@ class Chunk:
 
     @property
     def program(self) -> Hashable:
-        """What is compiled for it: chunks with the same program can run together."""
+        """Everything that the compiled program depends on: chunks that agree in it can run together."""
         leaves, structure = jax.tree.flatten((self.state, self.env, self.hyper))
         return structure, tuple((leaf.shape, leaf.dtype) for leaf in leaves), self.shape, self.updates
 
 
 def train_together(chunks: Sequence[Chunk]) -> list[tuple[TrainState, dict[str, Any]]]:
-    """Runs chunks, those with the same program as one.
+    """Runs the chunks of several trainings; those with the same program run side by side.
 
     Args:
         chunks: One for each training.
 
     Returns:
-        For each of them where training stands then, and the metrics of every update, as `train_chunk` does.
+        The result of `train_chunk` for each chunk, in their order.
     """
     groups: dict[Hashable, list[int]] = {}
-    for place, chunk in enumerate(chunks):
-        groups.setdefault(chunk.program, []).append(place)
-    found: dict[int, tuple[TrainState, dict[str, Any]]] = {}
-    for places in groups.values():
-        found |= zip(places, _run([chunks[place] for place in places]), strict=True)
-    return [found[place] for place in range(len(chunks))]
+    for index, chunk in enumerate(chunks):
+        groups.setdefault(chunk.program, []).append(index)
+    results: dict[int, tuple[TrainState, dict[str, Any]]] = {}
+    for indices in groups.values():
+        results |= zip(indices, _run([chunks[index] for index in indices]), strict=True)
+    return [results[index] for index in range(len(chunks))]
 
 
 def _run(chunks: list[Chunk]) -> list[tuple[TrainState, dict[str, Any]]]:
     first = chunks[0]
     if len(chunks) == 1:
-        spread = _spread((first.state, first.env, first.hyper))
-        return [sharding.fetched(train_chunk(*spread, first.shape, first.updates))]
+        return [sharding.to_host(train_chunk(*_put((first.state, first.env, first.hyper)), first.shape, first.updates))]
     trees = [(chunk.state, chunk.env, chunk.hyper) for chunk in chunks]
-    # What all have in common stays one number: a loop whose length is the same for all stays a plain loop.
+    # A leaf that is the same in all is not batched: a loop whose length all share then stays a plain loop.
     axes = jax.tree.map(lambda *leaves: None if _same(leaves) else 0, *trees)
     joined = jax.tree.map(lambda *leaves: leaves[0] if _same(leaves) else jnp.stack(leaves), *trees)
-    trained = sharding.fetched(_train(_spread(joined), axes, len(chunks), first.shape, first.updates))
-    return [jax.tree.map(lambda leaf, place=place: leaf[place], trained) for place in range(len(chunks))]
+    trained = sharding.to_host(_train(_put(joined), axes, len(chunks), first.shape, first.updates))
+    return [jax.tree.map(lambda leaf, index=index: leaf[index], trained) for index in range(len(chunks))]
 
 
-def _spread(tree: tuple[TrainState, Any, Any]) -> tuple[TrainState, Any, Any]:
-    """Gives each device its part of the environment's states, and all else."""
-    whole = sharding.placed(eqx.tree_at(lambda t: t[0].env_state, tree, None))
+def _put(tree: tuple[TrainState, Any, Any]) -> tuple[TrainState, Any, Any]:
+    """Splits the environment's states over the devices, and puts everything else on each of them."""
+    whole = sharding.device_put(eqx.tree_at(lambda t: t[0].env_state, tree, None))
     return eqx.tree_at(
-        lambda t: t[0].env_state, whole, sharding.placed(tree[0].env_state, split=True), is_leaf=lambda x: x is None
+        lambda t: t[0].env_state, whole, sharding.device_put(tree[0].env_state, split=True), is_leaf=lambda x: x is None
     )
 
 
@@ -90,7 +89,7 @@ def _same(leaves: Sequence[Any]) -> bool:
 
 @eqx.filter_jit
 def _train(joined: Any, axes: Any, count: int, shape: Shape, updates: int) -> tuple[TrainState, dict[str, Any]]:
-    def one(tree: tuple[TrainState, Environment, Hyperparameters]) -> tuple[TrainState, dict[str, Any]]:
+    def train(tree: tuple[TrainState, Environment, Hyperparameters]) -> tuple[TrainState, dict[str, Any]]:
         return train_chunk(*tree, shape, updates)
 
-    return eqx.filter_vmap(one, in_axes=(axes,), axis_size=count)(joined)
+    return eqx.filter_vmap(train, in_axes=(axes,), axis_size=count)(joined)

@@ -1,41 +1,48 @@
-"""Figures and animations of recorded runs, patterns and the model. Needs NumPy and Matplotlib; does not need JAX.
+"""Figures and animations of runs, of studies of many runs, of patterns, and of the robot model.
 
 Example:
     >>> from murmurate import plots  # doctest: +SKIP
-    >>> record = plots.Record.open("runs/C")  # doctest: +SKIP
-    >>> plots.save(plots.discovery_figure(record), "runs/C/figures/discovery.png")  # doctest: +SKIP
-    >>> plots.animate(record, "runs/C/figures/discovery.gif")  # doctest: +SKIP
+    >>> recording = plots.Recording.open("runs/C")  # doctest: +SKIP
+    >>> plots.save(plots.discovery_figure(recording), "runs/C/figures/discovery.png")  # doctest: +SKIP
+    >>> plots.animate(recording, "runs/C/figures/discovery.gif")  # doctest: +SKIP
 """
 
 from murmurate.plots.animation import animate
-from murmurate.plots.comparison import comparison_figure, failures_figure
-from murmurate.plots.drawing import Drawing, draw_configuration
-from murmurate.plots.figures import discovery_figure, patterns_figure
-from murmurate.plots.files import save
-from murmurate.plots.growth import Growth, PaperPoint, growth_figure
 from murmurate.plots.model import robot_figure, visibility_figure
 from murmurate.plots.plate import PlatePattern, plate_figure
-from murmurate.plots.record import Episode, Record, Sizes, Training
-from murmurate.plots.report import formation_figure, reward_figure, training_figure
+from murmurate.plots.recording import Episode, Recording, TrainingCurve
+from murmurate.plots.run import discovery_figure, formation_figure, reward_figure, training_figure
+from murmurate.plots.studies import (
+    Growth,
+    PaperPoint,
+    comparison_figure,
+    failures_figure,
+    growth_figure,
+    patterns_figure,
+)
+from murmurate.plots.style import png, save
+from murmurate.plots.swarm import LIGHT, NIGHT, Look, SwarmArtist
 
 __all__ = [
-    "Drawing",
+    "LIGHT",
+    "NIGHT",
     "Episode",
     "Growth",
+    "Look",
     "PaperPoint",
     "PlatePattern",
-    "Record",
-    "Sizes",
-    "Training",
+    "Recording",
+    "SwarmArtist",
+    "TrainingCurve",
     "animate",
     "comparison_figure",
     "discovery_figure",
-    "draw_configuration",
     "failures_figure",
     "formation_figure",
     "growth_figure",
     "patterns_figure",
     "plate_figure",
+    "png",
     "reward_figure",
     "robot_figure",
     "save",

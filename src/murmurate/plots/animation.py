@@ -1,9 +1,15 @@
-"""One episode as a moving picture: a GIF with nothing but Pillow, or an .mp4 with the `video` extra."""
+"""One episode as a moving picture: WebP or GIF with Pillow alone, mp4 with the `video` extra.
+
+The picture is a dark card, readable on light and on dark pages. A sight line is switched on when the two robots begin
+to see each other, and fades out when they lose sight.
+"""
 
 from __future__ import annotations
 
+import io
 import os
-from collections.abc import Iterator
+import tempfile
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,36 +18,39 @@ from jaxtyping import Float, UInt8
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
+from PIL import Image
 
 from murmurate.errors import InputError
-from murmurate.plots.drawing import (
-    draw_configuration,
-    draw_world,
-    path_colors,
-    path_segments,
-    show_window,
-    window,
-)
-from murmurate.plots.files import written_aside
-from murmurate.plots.palette import INK, MUTED, limited, policy_color
-from murmurate.plots.record import Episode, Record
+from murmurate.plots.recording import Episode, Recording
+from murmurate.plots.style import quantize, write_file
+from murmurate.plots.swarm import NIGHT, SwarmArtist, draw_world, path_segments, sight_pairs
+from murmurate.world import WorldConfig
 
-__all__ = ["animate"]
+__all__ = ["SUFFIXES", "animate", "check_target"]
 
-_WIDTH, _HEIGHT, _DPI = 420, 452, 100
-_FRAMES = 120  # at most: a longer episode skips steps
-_TAIL = 25  # steps of path behind each robot
-_LEVELS = 6  # of each colour, towards white: enough for smooth edges
-_HOLD = 1.5  # seconds for which the final pattern stands
+SUFFIXES = (".gif", ".webp", ".mp4")
+WIDTH, HEIGHT = 640, 400
+"""Size of a picture, pixels; both even, as video codecs need them."""
+
+MAX_BYTES = 1_000_000
+"""Size that a WebP or GIF does not exceed, if fewer colours and frames suffice for that."""
+
+_DPI = 100
+_TEXT = "#C9D3DC"
+_HEAD = 34  # pixels for the line of text above the swarm
+_SECONDS = (4.5, 6.5)  # of motion: long episodes are shown faster than 12 steps a second, short ones slower
+_HOLD = 1.5  # seconds for which the final pattern stays
+_TRAIL = 25  # steps of path behind each robot
+_FADE = 0.25  # seconds in which a sight line appears or disappears
 
 
-def animate(record: Record, path: str | os.PathLike[str], episode: int | None = None, fps: int = 20) -> None:
-    """Writes one episode as an animation that zooms in as the robots gather.
+def animate(recording: Recording, path: str | os.PathLike[str], episode: int | None = None, fps: int = 15) -> None:
+    """Writes one episode as an animation of about 5 to 8 seconds that zooms in as the robots gather.
 
     Args:
-        record: The run.
-        path: A name that ends in .gif, or in .mp4 where the `video` extra is installed.
-        episode: Which of its evaluation's episodes; the typical one where None.
+        recording: The run.
+        path: A name that ends in .gif or .webp, or in .mp4 where the `video` extra is installed.
+        episode: Which of its episodes; the typical one (median steps of the valid ones) where None.
         fps: Frames a second, 1 to 50.
 
     Raises:
@@ -50,104 +59,172 @@ def animate(record: Record, path: str | os.PathLike[str], episode: int | None = 
     """
     if not 1 <= fps <= 50:
         raise InputError("fps", fps, "from 1 to 50")
-    writers = {".gif": _write_gif, ".mp4": _write_mp4}
+    check_target(path)
+    encode = {".gif": _gif, ".webp": _webp, ".mp4": _mp4}[Path(path).suffix.lower()]
+    write_file(path, encode(_frames(recording, recording.episode(episode), fps), fps))
+
+
+def check_target(path: str | os.PathLike[str], field: str = "path") -> None:
+    """Checks that an animation can be written under a name.
+
+    Args:
+        path: The name.
+        field: What the name is called in an error.
+
+    Raises:
+        InputError: The name has another suffix, or it is an .mp4 without the `video` extra.
+    """
     suffix = Path(path).suffix.lower()
-    if suffix not in writers:
-        raise InputError("path", str(path), "a name that ends in .gif or .mp4")
+    if suffix not in SUFFIXES:
+        raise InputError(field, str(path), f"a name that ends in {', '.join(SUFFIXES)}")
     if suffix == ".mp4":
-        _ffmpeg(path)  # before anything is made
-    frames = _frames(record, record.episode(episode))
-    with written_aside(path) as aside:
-        writers[suffix](aside, frames, fps)
+        _ffmpeg(path, field)
 
 
-def _frames(record: Record, episode: Episode) -> Iterator[UInt8[np.ndarray, "height width 3"]]:
-    """Draws frame after frame on one canvas, moving the artists."""
-    figure = Figure(figsize=(_WIDTH / _DPI, _HEIGHT / _DPI), dpi=_DPI, facecolor="white")
+# Frames
+
+
+def _frames(recording: Recording, episode: Episode, fps: int) -> Iterator[UInt8[np.ndarray, "height width 3"]]:
+    """Draws frame after frame on one canvas by moving the artists; robots move straight from step to step."""
+    world, names = recording.experiment.world, recording.policies
+    policies = episode.policies
+    figure = Figure(figsize=(WIDTH / _DPI, HEIGHT / _DPI), dpi=_DPI, facecolor=NIGHT.background)
     canvas = FigureCanvasAgg(figure)
-    side = (_WIDTH - 16) / _WIDTH
-    ax = figure.add_axes((8 / _WIDTH, 8 / _HEIGHT, side, side * _WIDTH / _HEIGHT))
-    sizes = record.sizes
-    draw_world(ax, sizes)
-    trail = LineCollection([], linewidths=1.0, zorder=1.5)
+    ax = figure.add_axes((0, 0, 1, 1 - _HEAD / HEIGHT))
+    ax.set_axis_off()
+    draw_world(ax, world, color=NIGHT.shell)
+    trail = LineCollection([], linewidths=1.2, zorder=1.5)
     ax.add_collection(trail, autolim=False)
-    args = (sizes.radius, sizes.scan_radius, sizes.safe_distance, record.objective)
-    drawing = draw_configuration(ax, episode.positions[0], *args)
-    y = 1 - 15 / _HEIGHT
-    left = figure.text(10 / _WIDTH, y, "", fontsize=9.5, fontweight="bold", va="center", parse_math=False)
-    right = figure.text(1 - 10 / _WIDTH, y, "", fontsize=9.5, color=INK, va="center", ha="right")
-    centers, halves = _camera(record, episode)
-    objective, best = episode.objective, len(episode.signals)
-    for step in _steps(episode):
-        show_window(ax, centers[step], halves[step])
-        drawing.update(episode.positions[step])
-        first = max(0, step - _TAIL)
-        trail.set_segments(list(path_segments(episode.positions[first : step + 1])))
-        trail.set_color(list(path_colors(episode, first, step)))
-        place = episode.policy_at(step)
-        done = step == episode.steps
-        left.set(text=episode.outcome if done else record.policies[place], color=MUTED if done else policy_color(place))
-        right.set_text(f"step {step}    objective {objective[step]:.2f} of {best}")
+    start = episode.positions[0]
+    swarm = SwarmArtist(ax, start, world, gathering_point=recording.gathering_point, look=NIGHT, weight=1.2)
+    text: dict[str, Any] = {"va": "center", "parse_math": False}
+    left = figure.text(14 / WIDTH, 1 - 19 / HEIGHT, "", fontsize=9.5, fontweight="bold", **text)
+    right = figure.text(1 - 14 / WIDTH, 1 - 19 / HEIGHT, "", fontsize=9.5, color=_TEXT, ha="right", **text)
+    pairs = world.robots * (world.robots - 1) // 2
+    centers, halves = _camera(episode.positions, world)
+    strength = sight_pairs(start, world)[0].astype(float)
+    rate = 1 / (_FADE * fps)
+    for time in _times(episode.steps, fps):
+        step = min(int(time), max(episode.steps - 1, 0))
+        share = time - step
+        after = min(step + 1, episode.steps)
+        positions = (1 - share) * episode.positions[step] + share * episode.positions[after]
+        center, half = ((1 - share) * values[step] + share * values[after] for values in (centers, halves))
+        ax.set(xlim=center[0] + half[0] * np.array([-1, 1]), ylim=center[1] + half[1] * np.array([-1, 1]))
+        seen = sight_pairs(positions, world)[0]
+        done = time >= episode.steps
+        # The last frame stays: it shows what holds at the end.
+        strength = seen.astype(float) if done else np.clip(strength + rate * np.where(seen, 1, -1), 0, 1)
+        swarm.update(positions, strength)
+        first = max(0, step - _TRAIL)
+        recent = np.concatenate([episode.positions[first : step + 1], positions[None]])
+        segments, colors = path_segments(recent, policies[first : step + 1], look=NIGHT)
+        trail.set_segments(list(segments))
+        trail.set_color(list(colors))
+        if done:
+            left.set(text=episode.outcome, color=_TEXT)
+        else:
+            name = names[policies[step]] if len(names) > 1 else f"{world.robots} robots"
+            left.set(text=name, color=NIGHT.policies[policies[step] % len(NIGHT.policies)])
+        right.set_text(f"{int(seen.sum())} of {pairs} pairs see each other    step {int(time)}")
         canvas.draw()
         yield np.asarray(canvas.buffer_rgba())[..., :3].copy()
 
 
-def _steps(episode: Episode) -> list[int]:
-    """Returns the steps to show: all of a short episode, evenly chosen ones of a long one, always first and last."""
-    count = min(episode.steps + 1, _FRAMES)
-    return np.unique(np.linspace(0, episode.steps, count).round().astype(int)).tolist()
+def _times(steps: int, fps: int) -> Float[np.ndarray, " frames"]:
+    """Returns the moment of each frame, in steps from the start: the first is 0, the last the end."""
+    seconds = min(np.clip(steps / 12, *_SECONDS), steps / 3)
+    return np.linspace(0, steps, round(seconds * fps) + 1)
 
 
 def _camera(
-    record: Record, episode: Episode
-) -> tuple[Float[np.ndarray, "configurations 2"], Float[np.ndarray, " configurations"]]:
-    """Returns the square to show at each step: the world at first, nearer as the robots gather, never farther.
+    positions: Float[np.ndarray, "configurations robots 2"], world: WorldConfig
+) -> tuple[Float[np.ndarray, "configurations 2"], Float[np.ndarray, "configurations 2"]]:
+    """Returns centre and half sides of the window at each step: the world first, closer as the robots gather.
 
-    Each square lies between the final one (share 0) and the world (share 1), so that they nest.
+    Each window lies between the final one (share 0) and the world (share 1), so that they nest and the camera only
+    zooms in.
     """
-    sizes, margin = record.sizes, record.sizes.safe_distance
-    world = 1.02 * max(sizes.half_width, sizes.half_height)
-    center, final = window(episode.positions[-1], margin)
-    shares = np.zeros(len(episode.positions))
+    aspect = np.array([WIDTH / (HEIGHT - _HEAD), 1.0])
+    margin = world.safe_distance
+
+    def half_sides(low: np.ndarray, high: np.ndarray) -> np.ndarray:
+        """Returns the smallest window of the picture's shape with that extent."""
+        return aspect * ((high - low) / 2 / aspect).max()
+
+    final_low, final_high = positions[-1].min(axis=0) - margin, positions[-1].max(axis=0) + margin
+    center, final = (final_low + final_high) / 2, half_sides(final_low, final_high)
+    edge = 1.04 * np.array([world.half_width, world.half_height])
+    whole = half_sides(-edge, edge)
+    shares = np.zeros(len(positions))
     for side in (1, -1):
-        excess = side * (episode.positions - center) + margin - final
-        room = np.maximum(world - side * center - final, 1e-9)
+        excess = side * (positions - center) + margin - final
+        room = np.maximum(whole - side * center - final, 1e-9)
         shares = np.maximum(shares, (excess / room).max(axis=(1, 2)))
     shares = np.maximum.accumulate(np.clip(shares, 0, 1)[::-1])[::-1]
-    # The mean of the shares up to a step is no smaller than what the step needs: smooth, and nobody leaves the picture.
-    width = max(1, episode.steps // 6)
+    # A mean over the steps before is never smaller than what a step needs: smooth, and every robot stays in view.
+    width = max(1, (len(positions) - 1) // 6)
     padded = np.concatenate([np.full(width, shares[0]), shares])
-    shares = np.convolve(padded, np.full(width + 1, 1 / (width + 1)), mode="valid")
-    return np.outer(1 - shares, center), (1 - shares) * final + shares * world
+    shares = np.convolve(padded, np.full(width + 1, 1 / (width + 1)), mode="valid")[:, None]
+    return (1 - shares) * center, (1 - shares) * final + shares * whole
 
 
-def _write_gif(path: Path, frames: Iterator[UInt8[np.ndarray, "height width 3"]], fps: int) -> None:
-    pictures = [limited(frame, levels=_LEVELS) for frame in frames]
-    durations = [round(100 / fps) * 10] * len(pictures)  # the format counts hundredths of a second
+# Encoders: WebP and GIF are made of fewer colours, and then of every second frame, until they are small
+
+
+def _webp(frames: Iterator[UInt8[np.ndarray, "height width 3"]], fps: int) -> bytes:
+    pictures, data = [Image.fromarray(frame) for frame in frames], b""
+    for quality, stride in ((45, 1), (25, 1), (25, 2)):
+        options: dict[str, Any] = {"quality": quality, "method": 4, "minimize_size": True, "kmax": 1000}
+        data = _encode(pictures, "WEBP", stride, 1000 / fps, **options)
+        if len(data) <= MAX_BYTES:
+            break
+    return data
+
+
+def _gif(frames: Iterator[UInt8[np.ndarray, "height width 3"]], fps: int) -> bytes:
+    size = (WIDTH * 3 // 4, HEIGHT * 3 // 4)
+    pictures, data = [Image.fromarray(frame).resize(size, Image.Resampling.LANCZOS) for frame in frames], b""
+    colors = (NIGHT.robot, NIGHT.clear[0], NIGHT.blocked[0], NIGHT.shell, *NIGHT.policies[:3])
+    for levels, stride in ((6, 1), (3, 1), (3, 2)):
+        few = [quantize(np.asarray(p), levels, colors=colors, background=NIGHT.background) for p in pictures]
+        data = _encode(few, "GIF", stride, round(100 / fps) * 10, optimize=False)  # the format counts 10 ms
+        if len(data) <= MAX_BYTES:
+            break
+    return data
+
+
+def _encode(pictures: Sequence[Image.Image], format: str, stride: int, duration: float, **options: Any) -> bytes:
+    """Returns every `stride`-th picture, the last one always, as one file that loops."""
+    shown = pictures[::-1][::stride][::-1]
+    durations = [round(stride * duration)] * len(shown)
     durations[-1] += round(_HOLD * 1000)
-    pictures[0].save(
-        path, format="GIF", save_all=True, append_images=pictures[1:], duration=durations, loop=0, optimize=False
-    )
+    buffer = io.BytesIO()
+    shown[0].save(buffer, format=format, save_all=True, append_images=shown[1:], loop=0, duration=durations, **options)
+    return buffer.getvalue()
 
 
-def _ffmpeg(path: str | os.PathLike[str]) -> Any:
+def _ffmpeg(path: str | os.PathLike[str] = "", field: str = "path") -> Any:
     try:
         import imageio_ffmpeg  # pyright: ignore[reportMissingImports]
     except ImportError as error:
-        allowed = "a name that ends in .gif, or the video extra installed: pip install 'murmurate[video]'"
-        raise InputError("path", str(path), allowed) from error
+        allowed = "a name that ends in .gif or .webp, or the video extra installed: pip install 'murmurate[video]'"
+        raise InputError(field, str(path), allowed) from error
     return imageio_ffmpeg
 
 
-def _write_mp4(path: Path, frames: Iterator[UInt8[np.ndarray, "height width 3"]], fps: int) -> None:
-    # Both sides are even, which the codec needs; no larger blocks, which would scale the picture.
-    writer = _ffmpeg(path).write_frames(str(path), (_WIDTH, _HEIGHT), fps=fps, macro_block_size=2, quality=7)
-    writer.send(None)
-    try:
-        frame = None
-        for frame in frames:
-            writer.send(np.ascontiguousarray(frame))
-        for _ in range(round(_HOLD * fps)):
-            writer.send(np.ascontiguousarray(frame))
-    finally:
-        writer.close()
+def _mp4(frames: Iterator[UInt8[np.ndarray, "height width 3"]], fps: int) -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "animation.mp4"
+        # The codec needs even sides; without larger blocks, which would scale the picture.
+        writer = _ffmpeg().write_frames(str(file), (WIDTH, HEIGHT), fps=fps, macro_block_size=2, quality=7)
+        writer.send(None)
+        try:
+            frame = None
+            for frame in frames:
+                writer.send(np.ascontiguousarray(frame))
+            for _ in range(round(_HOLD * fps)):
+                writer.send(np.ascontiguousarray(frame))
+        finally:
+            writer.close()
+        return file.read_bytes()

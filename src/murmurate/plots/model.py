@@ -1,4 +1,4 @@
-"""The model in two figures: what a fat robot is, and who is visible to whom. The kernels say who is, never the hand."""
+"""The model in two figures: what a fat robot is, and which robots see each other, as the kernels have it."""
 
 from __future__ import annotations
 
@@ -12,8 +12,24 @@ from matplotlib.patches import Circle, FancyArrowPatch, Polygon, Rectangle
 from matplotlib.patheffects import withStroke
 
 from murmurate import geometry
-from murmurate.plots.page import LEFT, TEXT, TITLE, WIDTH, add_axes, draw_head, new_page
-from murmurate.plots.palette import FAINT, INK, MUTED, ROBOT, SIGHT, WARNING, policy_color
+from murmurate.plots.style import (
+    FAINT,
+    FIELD,
+    INK,
+    LEFT,
+    MUTED,
+    ROBOT,
+    SIGHT,
+    TEXT,
+    TITLE,
+    WARNING,
+    WIDTH,
+    add_axes,
+    draw_head,
+    new_page,
+    policy_color,
+)
+from murmurate.plots.swarm import draw_robots
 
 __all__ = ["robot_figure", "visibility_figure"]
 
@@ -21,7 +37,6 @@ Point = Float[np.ndarray, "2"]
 
 _RADIUS = 1.0  # the unit of both figures
 _SYMBOL = 13.0  # size of the notation, points
-_FIELD = "#F3F6F9"
 _MOVING = policy_color(0)
 
 # The robot that is explained; a neighbour as near as is safe; another neighbour; one that is no neighbour.
@@ -39,7 +54,14 @@ _NOTATION = (
 
 
 class _Scene(NamedTuple):
-    """B_k at the origin with a light, B_j that throws a shadow, and B_i: with a light of its own where there are 2."""
+    """Three robots: B_k at the origin, B_j that throws a shadow, and B_i.
+
+    Attributes:
+        occluder: Centre of B_j.
+        observed: Centre of B_i.
+        lights: 1: a light at the centre of B_k; 2: another at the centre of B_i.
+        note: What the scene shows.
+    """
 
     occluder: tuple[float, float]
     observed: tuple[float, float]
@@ -49,7 +71,7 @@ class _Scene(NamedTuple):
 
 _LIGHTS = ("#E69F00", "#56B4E9")
 # By whether B_i is occluded from B_k and, with two lights, B_k from B_i.
-_VERDICTS = {
+_TITLES = {
     (True,): "Occluded",
     (False,): "Visible",
     (False, False): "Mutually visible",
@@ -59,7 +81,7 @@ _VERDICTS = {
 }
 _SCENES = (
     _Scene((4.5, -1.0), (10.0, 0.45), 1, "$B_i$ reaches into the shadow that $B_j$ throws in the light of $B_k$"),
-    # A hair outside, so that rounding has no say.
+    # Slightly outside, so that rounding does not decide.
     _Scene((4.5, -1.0), (10.0, 1.0 + 1e-9), 1, "the limit: $B_i$ touches the shadow, no part of it lies inside"),
     _Scene((2.5, -1.55), (10.0, 0.0), 2, "$B_k$ sees $B_i$, but a part of $B_k$ is hidden from $B_i$"),
     _Scene((5.0, -1.75), (10.0, 0.0), 2, "$B_j$ is near, but no shadow of it reaches $B_i$ or $B_k$"),
@@ -67,7 +89,7 @@ _SCENES = (
 
 
 def robot_figure() -> Figure:
-    """Draws a fat robot among others and says what the model knows of it, in the paper's notation.
+    """Draws a fat robot among others and explains the model's quantities in the paper's notation.
 
     Returns:
         A figure 10 inches wide.
@@ -77,27 +99,26 @@ def robot_figure() -> Figure:
     ax = _scene_axes(figure, (LEFT, 0.12, 5.7, 4.08), (-8.3, 6.1))
     ax.set_axis_off()
     edge = {"edgecolor": SIGHT, "linewidth": 1.0}
-    ax.add_patch(Circle((0, 0), _SCAN, facecolor=_FIELD, linestyle=(0, (4, 2)), zorder=0, **edge))
+    ax.add_patch(Circle((0, 0), _SCAN, facecolor=FIELD, linestyle=(0, (4, 2)), zorder=0, **edge))
     for center in _SWARM[:2]:
         ax.add_patch(Circle(tuple(center), _SAFE / 2, fill=False, zorder=1, **edge))
     near = geometry.neighbors(_SWARM, _SCAN)[0]
-    for place, center in enumerate(_SWARM):
-        _draw_robot(ax, center, ROBOT if place == 0 else SIGHT if near[place] else FAINT)
+    draw_robots(ax, _SWARM, _RADIUS, [ROBOT, *(SIGHT if neighbor else FAINT for neighbor in near[1:])], zorder=3)
     for center, inside in zip(_SWARM[2:], near[2:], strict=True):
-        words = "centre within:\na neighbour" if inside else "centre outside:\nno neighbour"
-        _write(ax, center - (1.25, 0), words, ha="right")
+        text = "centre within:\na neighbour" if inside else "centre outside:\nno neighbour"
+        _write(ax, center - (1.25, 0), text, ha="right")
     _draw_velocity(ax)
     _draw_length(ax, _SWARM[1], r"$\delta_s$", (-0.45, -0.4))
     _draw_length(ax, _SCAN * _unit(np.array([-5.7, 1.0])), "$R_{scan}$", (-0.4, 0.5))
     _draw_length(ax, _RADIUS * _unit(np.array([-0.27, -1.0])), "$R_{bot}$", (0.2, -0.42))
     ax.plot(0, 0, "o", color="white", markersize=5, zorder=6)
-    _symbol(ax, (-0.35, 0.45), "$P_n$", color="white")
+    _write_symbol(ax, (-0.35, 0.45), "$P_n$", color="white")
     _list_notation(figure, int(near.sum()))
     return figure
 
 
 def visibility_figure() -> Figure:
-    """Draws who is visible to whom: lights at robots' centres, and the shadows that a robot throws in them.
+    """Draws when a robot is visible: lights at the centres of robots, and the shadow that a third robot throws.
 
     Returns:
         A figure 10 inches wide.
@@ -105,39 +126,40 @@ def visibility_figure() -> Figure:
     figure = new_page(6.1)
     draw_head(figure, "Visibility", "lights at the centres: a robot is occluded when any part of it lies in a shadow")
     width, height = 4.6, 1.95
-    for place, scene in enumerate(_SCENES):
-        row, column = divmod(place, 2)
+    for index, scene in enumerate(_SCENES):
+        row, column = divmod(index, 2)
         left = LEFT + column * (WIDTH - 2 * LEFT - width)
         ax = _scene_axes(figure, (left, 3.0 - row * 2.8, width, height), (-1.9, 11.9), middle=-0.75)
         for spine in ax.spines.values():
             spine.set(color=FAINT, linewidth=0.8)
-        validity = _draw_scene(ax, scene)
+        title = f"({'abcd'[index]})  {_draw_scene(ax, scene)}"
         style: dict[str, Any] = {"transform": ax.transAxes}
-        title = f"({'abcd'[place]})  {validity}"
         ax.text(0, 1.145, title, fontsize=TITLE, fontweight="bold", color=INK, **style)
         ax.text(0, 1.045, scene.note, fontsize=TEXT + 0.5, color=MUTED, **style)
     return figure
 
 
 def _draw_scene(ax: Axes, scene: _Scene) -> str:
-    """Draws B_k, B_j and B_i, the shadow in each light, and who sees whom; returns what that makes of the pair."""
+    """Draws B_k, B_j and B_i, the shadow in each light, and the lines of sight; returns what holds of the pair."""
     robots = np.array([(0.0, 0.0), scene.occluder, scene.observed])
+    occluded = geometry.occluded(robots, _RADIUS)
     # From B_k to B_i, and back where there is a second light.
-    ways = ((0, 2), (2, 0))[: scene.lights]
-    hidden = tuple(bool(geometry.occluded(robots, _RADIUS)[way]) for way in ways)
-    warned = {observed for (_, observed), blocked in zip(ways, hidden, strict=True) if blocked}
-    lit = {light for light, _ in ways}
-    for place, name in enumerate("kji"):
-        _draw_robot(ax, robots[place], ROBOT, WARNING if place in warned else "none")
-        _symbol(ax, robots[place] - (0, 0.5 * (place in lit)), f"$B_{name}$", color="white")
-    for (light, observed), blocked, color in zip(ways, hidden, _LIGHTS, strict=False):
+    directions = ((0, 2), (2, 0))[: scene.lights]
+    hidden = tuple(bool(occluded[direction]) for direction in directions)
+    edges = ["none"] * 3
+    for (light, observed), blocked, color in zip(directions, hidden, _LIGHTS, strict=False):
         _draw_shadow(ax, robots[light], robots[1], color)
+        edges[observed] = WARNING if blocked else "none"
         towards = _unit(robots[observed] - robots[light])
         # Two arrows lie side by side.
-        aside = 0.2 * (scene.lights - 1) * np.array([-towards[1], towards[0]])
-        start, end = robots[light] + towards + aside, robots[observed] - towards + aside
+        offset = 0.2 * (scene.lights - 1) * np.array([-towards[1], towards[0]])
+        start, end = robots[light] + towards + offset, robots[observed] - towards + offset
         _draw_arrow(ax, start, end, WARNING if blocked else INK, width=1.4)
-    return _VERDICTS[hidden]
+    draw_robots(ax, robots, _RADIUS, edge=edges, linewidth=2.0, zorder=3)
+    lit = {light for light, _ in directions}
+    for index, name in enumerate("kji"):
+        _write_symbol(ax, robots[index] - (0, 0.5 * (index in lit)), f"$B_{name}$", color="white")
+    return _TITLES[hidden]
 
 
 def _draw_shadow(ax: Axes, light: Point, occluder: Point, color: str) -> None:
@@ -157,7 +179,7 @@ def _draw_velocity(ax: Axes) -> None:
     ax.add_patch(square)
     arrow = _draw_arrow(ax, np.zeros(2), _VELOCITY, _MOVING, width=2.2)
     arrow.set_path_effects([withStroke(linewidth=4.0, foreground="white")])
-    _symbol(ax, _VELOCITY + np.array([0.5, -0.05]), "$V_n$", color=_MOVING)
+    _write_symbol(ax, _VELOCITY + np.array([0.5, -0.05]), "$V_n$", color=_MOVING)
 
 
 def _draw_length(ax: Axes, end: Point, name: str, offset: tuple[float, float]) -> None:
@@ -167,7 +189,7 @@ def _draw_length(ax: Axes, end: Point, name: str, offset: tuple[float, float]) -
     ax.plot([0, edge[0]], [0, edge[1]], color="white", linewidth=1.1, zorder=4)
     if length > _RADIUS:
         _draw_arrow(ax, edge, end, INK, width=1.0)
-    _symbol(ax, (edge + end) / 2 + offset, name, color=INK)
+    _write_symbol(ax, (edge + end) / 2 + offset, name, color=INK)
 
 
 def _list_notation(figure: Figure, neighbors: int) -> None:
@@ -177,27 +199,23 @@ def _list_notation(figure: Figure, neighbors: int) -> None:
     for symbol, meaning in _NOTATION:
         style: dict[str, Any] = {"va": "baseline", "color": INK, "math_fontfamily": "stix"}
         figure.text(left / width, y / height, symbol, fontsize=_SYMBOL + 2, **style)
-        for line, words in enumerate(meaning.format(neighbors).split("\n")):
-            figure.text((left + 0.7) / width, (y - 0.19 * line) / height, words, fontsize=TITLE - 0.5, **style)
+        for line, text in enumerate(meaning.format(neighbors).split("\n")):
+            figure.text((left + 0.7) / width, (y - 0.19 * line) / height, text, fontsize=TITLE - 0.5, **style)
         y -= 0.46 + 0.19 * meaning.count("\n")
 
 
 def _scene_axes(
-    figure: Figure, place: tuple[float, float, float, float], span: tuple[float, float], middle: float = 0.0
+    figure: Figure, box: tuple[float, float, float, float], span: tuple[float, float], middle: float = 0.0
 ) -> Axes:
-    """Adds axes at a place in inches, to scale and without ticks, that show a span of x around a middle y."""
-    ax = add_axes(figure, *place)
-    half = (span[1] - span[0]) * place[3] / place[2] / 2
+    """Adds axes at a box in inches, to scale and without ticks, that show a span of x around a middle y."""
+    ax = add_axes(figure, *box)
+    half = (span[1] - span[0]) * box[3] / box[2] / 2
     ax.set(xlim=span, ylim=(middle - half, middle + half), aspect="equal", xticks=[], yticks=[])
     return ax
 
 
 def _unit(vector: Point) -> Point:
     return vector / np.hypot(*vector)
-
-
-def _draw_robot(ax: Axes, center: Point, color: str, edge: str = "none") -> None:
-    ax.add_patch(Circle(tuple(center), _RADIUS, facecolor=color, edgecolor=edge, linewidth=2.0, zorder=3))
 
 
 def _draw_arrow(ax: Axes, start: Point, end: Point, color: str, width: float) -> FancyArrowPatch:
@@ -209,11 +227,11 @@ def _draw_arrow(ax: Axes, start: Point, end: Point, color: str, width: float) ->
     return arrow
 
 
-def _symbol(ax: Axes, place: Any, text: str, **style: Any) -> None:
-    """Writes a symbol of the paper's at a place of the picture."""
-    _write(ax, place, text, **{"fontsize": _SYMBOL, "math_fontfamily": "stix"} | style)
+def _write_symbol(ax: Axes, position: Any, text: str, **style: Any) -> None:
+    """Writes a symbol of the paper's notation."""
+    _write(ax, position, text, **{"fontsize": _SYMBOL, "math_fontfamily": "stix"} | style)
 
 
-def _write(ax: Axes, place: Any, text: str, **style: Any) -> None:
+def _write(ax: Axes, position: Any, text: str, **style: Any) -> None:
     options: dict[str, Any] = {"fontsize": TEXT, "color": MUTED, "ha": "center", "va": "center", "zorder": 7}
-    ax.text(place[0], place[1], text, **options | style)
+    ax.text(position[0], position[1], text, **options | style)

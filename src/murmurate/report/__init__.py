@@ -1,4 +1,4 @@
-"""Reports: what to train for one, the runs, a small document model, and its two renderings, HTML and Markdown.
+"""Reports of reproductions: which runs one needs, their numbers, and the page, as Markdown and as HTML.
 
-Composes experiments and view. Nothing is imported here, so that a command line can be refused before JAX is loaded.
+Nothing is imported here, so that a command line can be refused before JAX is loaded.
 """

@@ -9,8 +9,10 @@ from typing import Literal
 from murmurate.discovery import StageConfig
 from murmurate.runs.evaluate import EPISODES
 from murmurate.runs.experiment import ExperimentConfig
+from murmurate.runs.grid import Grid
 from murmurate.runs.paper import EXPERIMENTS
 from murmurate.runs.presets import preset
+from murmurate.world import Start
 
 __all__ = ["STARTS", "TRAINING_PRESETS", "Plan", "PlannedRun", "half_side", "make_plan"]
 
@@ -79,6 +81,11 @@ class Plan:
         groups = (*self.experiments.values(), *self.sizes.values())
         return tuple({run.name: run for group in groups for run in group.values()}.values())
 
+    @property
+    def grid(self) -> Grid:
+        """The runs as a grid, by the names of their folders."""
+        return Grid({run.name: run.config for run in self.runs})
+
 
 def make_plan(seed: int = 0, quick: bool = False) -> Plan:
     """Plans a report.
@@ -118,7 +125,7 @@ def _of_size(
     like = _preset("C", "equivariant", seed)
     side = half_side(robots)
     world = replace(like.world, robots=robots, half_width=side, half_height=side)
-    config = replace(like, name=f"size{robots}-{start}", world=world, start=replace(like.start, kind=start))
+    config = replace(like, name=f"size{robots}-{start}", world=world, start=Start.registered()[start]())
     planned = _planned(config, config.name, "equivariant", quick)
     return next((run for run in known if replace(planned.config, name=run.config.name) == run.config), planned)
 

@@ -1,9 +1,9 @@
-"""The runs of a plan: checked together before anything is trained, trained one after the other, and read."""
+"""The runs of a plan: checked together before anything is trained, trained as a grid, and read."""
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,14 +12,13 @@ from murmurate import plots
 from murmurate.discovery import Search
 from murmurate.errors import RunError
 from murmurate.report.plan import Plan, PlannedRun
-from murmurate.runs import checkpoint, storage, table
-from murmurate.runs import experiment as configuration
-from murmurate.runs.evaluate import FRESH, TRAJECTORIES
-from murmurate.runs.train import discover
+from murmurate.runs.execute import Executor, InProcess, run_jobs
+from murmurate.runs.folder import MANIFEST, FolderState, RunFolder, is_fresh
+from murmurate.runs.jobs import training_jobs
 
 __all__ = ["Result", "check", "read", "train"]
 
-_NEEDED = frozenset({"platform", "device", "versions", "outcome", "policies", "environment_steps", "train_seconds"})
+NEEDED = frozenset({"platform", "device", "versions", "policies", "environment_steps", "train_seconds"})
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,17 +38,17 @@ class Result:
     summary: Mapping[str, Any]
 
     @functools.cached_property
-    def record(self) -> plots.Record:
-        """The recorded episodes.
+    def recording(self) -> plots.Recording:
+        """The run as figures need it.
 
         Raises:
-            RunError: They are damaged, or not finite because the training went astray.
+            RunError: Its episodes are damaged, or not finite because the training diverged.
         """
-        return plots.Record.open(self.folder)
+        return plots.Recording.open(self.folder)
 
 
-def check(plan: Plan, runs: str | Path) -> dict[str, storage.Found]:
-    """Makes sure that every run of a plan can be reused, continued or trained; writes nothing.
+def check(plan: Plan, runs: str | Path) -> dict[str, FolderState]:
+    """Checks that every run of a plan can be reused, continued or trained; writes nothing.
 
     Args:
         plan: The runs.
@@ -61,36 +60,34 @@ def check(plan: Plan, runs: str | Path) -> dict[str, storage.Found]:
     Raises:
         RunError: A folder holds another experiment, a damaged run, or something that would be overwritten.
     """
-    return {planned.name: _look(planned, Path(runs) / planned.name) for planned in plan.runs}
+    states = plan.grid.check(runs)
+    for planned in plan.runs:
+        folder = RunFolder(Path(runs) / planned.name)
+        if states[planned.name] == "finished":
+            read(planned, folder.path)
+            folder.trajectories()
+        elif states[planned.name] == "unfinished":
+            folder.checkpoint(Search(planned.config))
+    return states
 
 
-def _look(planned: PlannedRun, folder: Path) -> storage.Found:
-    found = storage.look(folder, resume=True)
-    if found != "new":
-        configuration.check_same(planned.config, folder)
-    if found == "finished":
-        read(planned, folder)
-        storage.read_npz(folder / TRAJECTORIES)
-    elif found == "unfinished":
-        checkpoint.load(folder, Search(planned.config))
-    return found
-
-
-def train(planned: PlannedRun, runs: str | Path, on_progress: Callable[..., None] | None = None) -> Result:
-    """Trains a run or goes on with it; where it is finished, reads it only.
+def train(plan: Plan, runs: str | Path, executor: Executor | None = None, quiet: bool = True) -> list[Result]:
+    """Trains the runs of a plan that are not finished, or continues them, and reads all.
 
     Args:
-        planned: The run.
+        plan: The runs.
         runs: The folder of all runs.
-        on_progress: See `training.discover`.
+        executor: Where runs are trained; by default in this process, one after the other.
+        quiet: Show nothing.
 
     Raises:
-        RunError: The folder holds another run, is damaged, or cannot be written to.
+        RunError: A folder holds another run, is damaged, or cannot be written to; or a training failed.
     """
-    folder = Path(runs) / planned.name
-    if storage.look(folder, resume=True) != "finished":
-        discover(planned.config, folder, resume=True, on_progress=on_progress)
-    return read(planned, folder)
+    statuses = run_jobs(training_jobs(plan.grid, runs), executor or InProcess(), quiet=quiet)
+    for name, status in statuses.items():
+        if status.state == "failed":
+            raise RunError(f"{Path(runs) / name}: {status.error}")
+    return [read(planned, Path(runs) / planned.name) for planned in plan.runs]
 
 
 def read(planned: PlannedRun, folder: Path) -> Result:
@@ -99,12 +96,11 @@ def read(planned: PlannedRun, folder: Path) -> Result:
     Raises:
         RunError: It is damaged or unfinished, or was evaluated from other starts than its experiment's.
     """
-    manifest = storage.read_manifest(folder)
-    storage.verify(folder, manifest)
-    summary = table.read_evaluation(folder)
-    if summary["starts"] != FRESH:
+    run = RunFolder(folder)
+    manifest, summary = run.verify(), run.evaluation()
+    if not is_fresh(summary):
         raise RunError(f"{folder} was evaluated from other starts: make it again with murmurate evaluate {folder}")
-    missing = _NEEDED - manifest.keys()
+    missing = NEEDED - manifest.keys()
     if missing:
-        raise RunError(f"{folder / storage.MANIFEST} lacks {min(missing)}")
+        raise RunError(f"{folder / MANIFEST} lacks {min(missing)}")
     return Result(planned, folder, manifest, summary)

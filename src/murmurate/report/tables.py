@@ -1,19 +1,21 @@
-"""The tables of a report."""
+"""The tables of a report, as Markdown, and the small pieces of Markdown that reports are made of."""
 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 
-from murmurate.report.document import Table, code
-from murmurate.report.measures import REASONS, Measures, Pattern
-from murmurate.runs.paper import EXPERIMENTS, PaperExperiment
+from murmurate.report.data import REASONS, Measures, Pattern
+from murmurate.runs.paper import EXPERIMENTS
 
 __all__ = [
-    "NONE",
+    "caption",
+    "code",
     "duration",
     "failures_table",
     "patterns_table",
+    "plain",
     "runs_table",
     "settings_table",
     "sizes_table",
@@ -21,136 +23,145 @@ __all__ = [
 ]
 
 NONE = "-"
-"""What stands in a cell that has no value."""
+"""A cell without a value."""
+
+MAX_EPISODES = 6
+"""Number of failed episodes that a row names."""
 
 ByPolicy = Mapping[str, Measures]
 
-_REASON_NAMES = dict(
-    zip(REASONS, ("not collision-free", "not visible", "not safe", "not gathered", "not at rest"), strict=True)
-)
-_SHOWN_EPISODES = 6
 _SIDE = "X\u00a0=\u00a0Y"
 
 
-def settings_table() -> Table:
+# Markdown
+
+
+def plain(text: str) -> str:
+    """Returns text whose characters mean nothing to Markdown; what stands between two backticks remains code."""
+    parts = text.split("`")
+    return "`".join(part if i % 2 else re.sub(r"([\\*_\[\]<>|#~&])", r"\\\1", part) for i, part in enumerate(parts))
+
+
+def code(value: object) -> str:
+    """Returns a value as code, whatever characters it has."""
+    return f"`{str(value).replace('`', chr(39))}`"
+
+
+def caption(kind: str, text: str) -> str:
+    """Returns a caption of a Table or Figure; the page numbers them."""
+    return f"*{kind} {{number}}. {plain(text)}*"
+
+
+def _table(text: str, header: Sequence[str], rows: Sequence[Sequence[str]], align: str) -> str:
+    """Returns a table with its caption.
+
+    Args:
+        text: The caption.
+        header: The names of the columns.
+        rows: The cells; a row whose first cell begins with * is what the rows below it are compared with.
+        align: A letter for each column: l for words, r for numbers.
+    """
+    lines = [header, ["---" if letter == "l" else "---:" for letter in align], *rows]
+    # A bar ends a cell even in code.
+    cells = [[re.sub(r"(?<!\\)\|", r"\|", cell) for cell in line] for line in lines]
+    return f"{caption('Table', text)}\n\n" + "\n".join(f"| {' | '.join(line)} |" for line in cells)
+
+
+# Tables
+
+
+def settings_table() -> str:
     """The paper's Table III, with the sizes that it does not print."""
     targets = {"C1": "origin", "C2": "undefined"}
-    rows = [
-        (
-            row.name,
-            str(row.robots),
-            targets[row.objective],
-            row.start,
-            *(f"{value:g}" for value in (row.half_side, row.radius, row.scan_radius, row.safe_distance, row.max_speed)),
-        )
-        for row in EXPERIMENTS.values()
-    ]
+    rows = []
+    for row in EXPERIMENTS.values():
+        sizes = (row.half_side, row.radius, row.scan_radius, row.safe_distance, row.max_speed)
+        words = (row.name, str(row.robots), targets[row.objective], row.start)
+        rows.append((*words, *(f"{value:g}" for value in sizes)))
     header = ("experiment", "swarm size", "gathering target", "initial states")
-    sizes = (_SIDE, "radius R", "scan radius", "safe distance", "speed limit")
-    caption = "The paper's Table III. The last five columns, in world units, are not printed in the paper."
-    return Table(caption, header + sizes, _alone(rows), "lrllrrrrr")
+    header += (_SIDE, "radius R", "scan radius", "safe distance", "speed limit")
+    text = "The paper's Table III. The last five columns, in world units, are not printed in the paper."
+    return _table(text, header, rows, "lrllrrrrr")
 
 
-def steps_table(experiments: Mapping[str, ByPolicy]) -> Table:
-    """The paper's Table IV, each row beside ours."""
-    measured = [run for runs in experiments.values() for run in runs.values()]
-    with_gap = any(run.gap is not None for run in measured)
+def steps_table(experiments: Mapping[str, ByPolicy]) -> str:
+    """The paper's Table IV, each row with ours below it."""
+    with_gap = any(run.gap is not None for runs in experiments.values() for run in runs.values())
     header = ("experiment", "swarm size", "policy", "base steps", "auxiliary steps", "total steps")
-    header += ("kinematic bound", "efficiency", "valid", "collision-free", *(("gap",) if with_gap else ()))
-
-    def ours(name: str, robots: int, run: Measures) -> tuple[str, ...]:
-        steps = (_number(value) for value in (run.base_steps, run.auxiliary_steps, run.total_steps, run.bound_steps))
-        free = run.lacking["contact_free"]
-        counts = (_of(run.valid, run), _of(None if free is None else run.episodes - free, run))
-        gap = (_gap(run),) if with_gap else ()
-        return (name, str(robots), run.policy, *steps, _share(run.efficiency), *counts, *gap)
-
-    groups = []
+    header += ("kinematic bound", "efficiency", "valid", "contact-free", *(("gap",) if with_gap else ()))
+    rows = []
     for name, runs in experiments.items():
-        row = EXPERIMENTS[name]
-        nothing = (NONE,) * (len(header) - 6)
-        groups.append((_paper(row) + nothing, *(ours(name, row.robots, run) for run in runs.values())))
-    caption = (
-        "The paper's Table IV, average steps to form a pattern, and beside each row ours: means over all episodes, "
+        paper = EXPERIMENTS[name]
+        total = f"{paper.total_steps:.2f}"
+        if paper.total_steps != paper.summed_steps:
+            total += f" (sums to {paper.summed_steps:.2f})"
+        cells = (name, str(paper.robots), "paper", f"{paper.base_steps:.2f}", f"{paper.auxiliary_steps:.2f}", total)
+        rows.append([f"*{cell}*" for cell in cells] + [NONE] * (len(header) - len(cells)))
+        for run in runs.values():
+            steps = (run.base_steps, run.auxiliary_steps, run.total_steps, run.bound_steps)
+            contacts = run.lacking["contact_free"]
+            free = None if contacts is None else run.episodes - contacts
+            gap = f"{100 * run.gap / run.best_known:.2f} %" if run.gap is not None and run.best_known else NONE
+            counts = (_of(run.valid, run), _of(free, run), *((gap,) if with_gap else ()))
+            cells = (*(_number(value) for value in steps), _number(run.efficiency, 2), *counts)
+            rows.append((name, str(paper.robots), run.policy, *cells))
+    text = (
+        "The paper's Table IV, average steps to form a pattern, and below each row ours: means over all episodes, "
         "valid or not."
     )
-    return Table(caption, header, tuple(groups), "lrl" + "r" * (len(header) - 3), reference=True)
+    return _table(text, header, rows, "lrl" + "r" * (len(header) - 3))
 
 
-def _paper(row: PaperExperiment) -> tuple[str, ...]:
-    odd = "" if row.total_steps == row.summed_steps else f" (sums to {row.summed_steps:.2f})"
-    return (
-        row.name,
-        str(row.robots),
-        "paper",
-        f"{row.base_steps:.2f}",
-        f"{row.auxiliary_steps:.2f}",
-        f"{row.total_steps:.2f}{odd}",
-    )
+def patterns_table(experiments: Mapping[str, ByPolicy]) -> str:
+    """What the auxiliary policies add to the patterns of the base policy."""
 
-
-def patterns_table(experiments: Mapping[str, ByPolicy]) -> Table:
-    """What the auxiliary policy adds to the base policy's patterns."""
-
-    def row(name: str, run: Measures) -> tuple[str, ...]:
-        base, final = run.base_pattern, run.final_pattern
+    def change(base: Pattern | None, final: Pattern | None, name: str) -> tuple[str, str, str]:
         if base is None or final is None:
-            return (name, run.policy, *(NONE,) * 6)
-        return (
-            name,
-            run.policy,
-            *_change(base, final, "objective"),
-            *_change(base, final, "visible"),
-        )
+            return NONE, NONE, NONE
+        before, after = getattr(base, name), getattr(final, name)
+        return f"{before:.3f}", f"{after:.3f}", f"{after - before:+.3f}"
 
+    rows = []
+    for name, runs in experiments.items():
+        for run in runs.values():
+            base, final = run.base_pattern, run.final_pattern
+            rows.append((name, run.policy, *change(base, final, "objective"), *change(base, final, "visible")))
     header = ("experiment", "policy", "objective: base", "final", "change", "visible: base", "final", "change")
-    groups = tuple(tuple(row(name, run) for run in runs.values()) for name, runs in experiments.items())
-    caption = (
+    text = (
         "What the auxiliary policies add: the objective (at most 4) and its signal `visible` (1 where every robot sees "
         "every other) where the base policy came to rest, and at the end. Means over all episodes."
     )
-    return Table(caption, header, groups, "llrrrrrr")
+    return _table(text, header, rows, "llrrrrrr")
 
 
-def _change(base: Pattern, final: Pattern, name: str) -> tuple[str, str, str]:
-    before, after = getattr(base, name), getattr(final, name)
-    return f"{before:.3f}", f"{after:.3f}", f"{after - before:+.3f}"
-
-
-def sizes_table(sizes: Mapping[str, Mapping[int, Measures]]) -> Table:
+def sizes_table(sizes: Mapping[str, Mapping[int, Measures]]) -> str:
     """The study of swarm sizes."""
+    rows = []
+    for start, runs in sizes.items():
+        for robots, run in runs.items():
+            steps = (run.base_steps, run.auxiliary_steps, run.total_steps, run.bound_steps)
+            cells = (start, str(robots), f"{run.half_side:g}", *(_number(value) for value in steps))
+            rows.append((*cells, _number(run.efficiency, 2), _of(run.valid, run), code(run.run)))
     header = ("start", "swarm size", _SIDE, "base steps", "auxiliary steps", "total steps", "kinematic bound")
     header += ("efficiency", "valid", "run")
-    groups = tuple(
-        tuple(
-            (
-                start,
-                str(robots),
-                f"{run.half_side:g}",
-                *(_number(v) for v in (run.base_steps, run.auxiliary_steps, run.total_steps, run.bound_steps)),
-                _share(run.efficiency),
-                _of(run.valid, run),
-                code(run.run),
-            )
-            for robots, run in runs.items()
-        )
-        for start, runs in sizes.items()
-    )
-    return Table("Steps against swarm size, objective C1, equivariant policy.", header, groups, "lrrrrrrrrl")
+    return _table("Steps against swarm size, objective C1, equivariant policy.", header, rows, "lrrrrrrrrl")
 
 
-def failures_table(runs: Sequence[Measures]) -> Table:
-    """The episodes that did not end in a valid pattern, and what they lack; one may lack several things."""
-    rows = [
-        (code(run.run), _of(run.valid, run), *(_plain(run.lacking[name]) for name in REASONS), _places(run.failures))
-        for run in runs
-    ]
-    header = ("run", "valid", *_REASON_NAMES.values(), "episodes")
-    caption = "Episodes that did not end in a valid pattern, and what they lack; one episode may lack several things."
-    return Table(caption, header, _alone(rows), "lrrrrrrl")
+def failures_table(runs: Sequence[Measures]) -> str:
+    """The episodes that did not end in a valid pattern, and which conditions they miss."""
+    rows = []
+    for run in runs:
+        missed = (NONE if (count := run.lacking[name]) is None else str(count) for name in REASONS)
+        episodes = ", ".join(map(str, run.failures[:MAX_EPISODES])) or NONE
+        if len(run.failures) > MAX_EPISODES:
+            episodes += f", … ({len(run.failures)})"
+        rows.append((code(run.run), _of(run.valid, run), *missed, episodes))
+    header = ("run", "valid", *REASONS.values(), "episodes")
+    text = "Episodes that did not end in a valid pattern, by the condition that they miss; an episode may miss several."
+    return _table(text, header, rows, "l" + "r" * (len(header) - 2) + "l")
 
 
-def runs_table(runs: Sequence[Measures], machines: Mapping[str, int]) -> Table:
+def runs_table(runs: Sequence[Measures], machines: Mapping[str, int]) -> str:
     """Every run of the report.
 
     Args:
@@ -161,7 +172,7 @@ def runs_table(runs: Sequence[Measures], machines: Mapping[str, int]) -> Table:
         (
             code(run.run),
             str(run.seed),
-            run.outcome,
+            plain(run.outcome),
             str(run.policies),
             f"{run.environment_steps / 1e6:.2f} M",
             duration(run.train_seconds),
@@ -170,11 +181,11 @@ def runs_table(runs: Sequence[Measures], machines: Mapping[str, int]) -> Table:
         for run in runs
     ]
     header = ("run", "seed", "outcome", "policies", "environment steps", "training", "machine")
-    return Table("Every run of this report.", header, _alone(rows), "lrlrrrr")
+    return _table("Every run of this report.", header, rows, "lrlrrrr")
 
 
 def duration(seconds: float) -> str:
-    """Writes a time as a reader says it."""
+    """Returns a time in hours and minutes, minutes and seconds, or seconds."""
     minutes, rest = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
     if hours:
@@ -182,31 +193,9 @@ def duration(seconds: float) -> str:
     return f"{minutes} min {rest} s" if minutes else f"{rest} s"
 
 
-def _alone(rows: Sequence[tuple[str, ...]]) -> tuple[tuple[tuple[str, ...], ...], ...]:
-    """Makes a group of every row."""
-    return tuple((row,) for row in rows)
-
-
-def _number(value: float) -> str:
-    return NONE if math.isnan(value) else f"{value:.1f}"
-
-
-def _share(value: float) -> str:
-    return NONE if math.isnan(value) else f"{value:.2f}"
-
-
-def _gap(run: Measures) -> str:
-    return f"{100 * run.gap / run.best_known:.2f} %" if run.gap is not None and run.best_known else NONE
-
-
-def _plain(count: int | None) -> str:
-    return NONE if count is None else str(count)
+def _number(value: float, digits: int = 1) -> str:
+    return NONE if math.isnan(value) else f"{value:.{digits}f}"
 
 
 def _of(count: int | None, run: Measures) -> str:
     return NONE if count is None else f"{count} of {run.episodes}"
-
-
-def _places(failures: Sequence[int]) -> str:
-    shown = ", ".join(map(str, failures[:_SHOWN_EPISODES]))
-    return f"{shown}, … ({len(failures)})" if len(failures) > _SHOWN_EPISODES else shown or NONE

@@ -10,106 +10,101 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from jaxtyping import Float
-
-from murmurate.errors import InputError, RunError
-from murmurate.runs import experiment as configuration
-from murmurate.runs import storage, table
-from murmurate.runs.evaluate import EVALUATION, FRESH, TRAJECTORIES
 from murmurate.analysis import Catalogue, Finding
 from murmurate.analysis.optimum.best_known import best_known
 from murmurate.analysis.optimum.formation import Target
+from murmurate.errors import InputError, RunError
+from murmurate.runs import files
+from murmurate.runs.folder import RunFolder, is_fresh
+from murmurate.world import Configuration, Objective
 
-__all__ = ["CATALOGUE", "CLASSES", "findings", "look", "save"]
+__all__ = ["CATALOGUE", "CLASSES", "check_target", "read_findings", "write"]
 
 CATALOGUE, CLASSES = "catalogue.json", "catalogue.csv"
 
 
-def findings(folder: str | Path) -> tuple[Finding, ...]:
-    """Reads what was found: the valid patterns of a run's evaluation, or all of a catalogue's.
+def read_findings(folder: str | Path, trust: bool = False) -> tuple[Finding, ...]:
+    """Reads the valid patterns of a run's evaluation, or all patterns of a catalogue.
 
     Args:
-        folder: Of a finished run, or of a catalogue.
+        folder: The folder of a finished run, or of a catalogue.
+        trust: Whether modules that the run's configuration names may be imported.
 
     Raises:
         RunError: It is missing or neither of them, or damaged, or of an unknown version.
     """
-    folder = Path(folder)
-    if (folder / CATALOGUE).is_file():
+    path = Path(folder) / CATALOGUE
+    if path.is_file():
         try:
-            return Catalogue.from_dict(storage.read_json(folder / CATALOGUE)).findings
+            return Catalogue.from_dict(files.read_json(path)).findings
         except InputError as error:
-            raise RunError(f"{folder / CATALOGUE}: {error}") from None
-    manifest = storage.read_manifest(folder)
-    storage.verify(folder, manifest)
-    config, summary = configuration.load(folder), table.read_evaluation(folder)
-    failures = summary.get("failures")
-    if not isinstance(failures, list):
-        raise RunError(f"{folder / EVALUATION} lacks failures: make it again with murmurate evaluate {folder}")
-    target = Target(config.world, config.objective)
-    known = best_known(target)
-    found = []
-    for episode, positions in enumerate(_finals(folder, config.world.robots)):
-        if episode in failures:
-            continue
-        value = target.value(positions)
-        found.append(
-            Finding(
-                positions=positions,
-                radius=config.world.radius,
-                safe_distance=config.world.safe_distance,
-                scan_radius=config.world.scan_radius,
-                objective=config.objective,
-                value=value,
-                gap=None if known is None else known - value,
-                experiment=config.name,
-                policy=config.policy.name,
-                start=config.start.name if summary["starts"] == FRESH else str(summary["starts"]),
-                seed=config.seed,
-                run=_identity(manifest, summary),
-                episode=episode,
-            )
-        )
-    return tuple(found)
+            raise RunError(f"{path}: {error}") from None
+    return _run_findings(RunFolder(folder), trust)
 
 
-def look(folder: str | Path) -> None:
-    """Makes sure that a catalogue may be written to a folder: a new or empty one, or one that holds a catalogue.
+def check_target(folder: str | Path) -> None:
+    """Checks that a catalogue may be written to a folder: a new or empty one, or one that holds a catalogue.
 
     Raises:
         RunError: The folder holds other files.
     """
-    folder = Path(folder)
-    with storage.os_errors_as_run_errors(f"cannot write to {folder}"):
-        present = list(folder.iterdir()) if folder.exists() else []
-    if present and not (folder / CATALOGUE).is_file():
+    if files.entries(folder) and not (Path(folder) / CATALOGUE).is_file():
         raise RunError(f"{folder} holds other files: choose another --out")
 
 
-def save(catalogue: Catalogue, folder: str | Path) -> None:
+def write(catalogue: Catalogue, folder: str | Path) -> None:
     """Writes a catalogue as JSON, which can be read again, and its classes as CSV.
 
     Raises:
         RunError: A file cannot be written.
     """
     folder = Path(folder)
-    storage.make_folder(folder)
-    storage.write_json(folder / CATALOGUE, catalogue.to_dict())
+    files.make_folder(folder)
+    files.write_json(folder / CATALOGUE, catalogue.to_dict())
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows(catalogue.rows())
-    storage.write_text(folder / CLASSES, text.getvalue())
+    files.write_text(folder / CLASSES, text.getvalue())
 
 
-def _finals(folder: Path, robots: int) -> Float[np.ndarray, "episodes robots 2"]:
-    """Returns the last configuration of each episode."""
-    positions = storage.read_npz(folder / TRAJECTORIES).get("positions", np.empty(0))
-    if positions.ndim != 4 or positions.shape[2:] != (robots, 2) or not positions.shape[1]:
-        raise RunError(f"{folder / TRAJECTORIES} does not hold the positions of {robots} robots")
-    return positions[:, -1].astype(float)
+def _run_findings(run: RunFolder, trust: bool) -> tuple[Finding, ...]:
+    manifest = run.verify()
+    config, summary = run.experiment(trust), run.evaluation()
+    episodes = sorted(set(range(summary["episodes"])) - set(summary["failures"]))
+    if not episodes:  # the trajectories may not even be finite
+        return ()
+    final = run.trajectories().final.astype(float)
+    if final.shape != (summary["episodes"], config.world.robots, 2):
+        raise RunError(f"{run.evaluation_files[1]} is not of the evaluation beside it")
+    objective = Objective(config.objective_signals)
+    values = [float(objective(objective.measure(Configuration(points, config.world)))) for points in final]
+    # Only for the paper's objectives, with its own weights, best-known patterns are kept.
+    known = best_known(Target(config.world, config.objective)) if config.has_paper_objective else None
+    return tuple(
+        Finding(
+            positions=final[episode],
+            radius=config.world.radius,
+            safe_distance=config.world.safe_distance,
+            scan_radius=config.world.scan_radius,
+            objective=config.objective if config.has_paper_objective else "custom",
+            value=values[episode],
+            gap=None if known is None else known - values[episode],
+            experiment=config.name,
+            policy=config.policy.name,
+            start=config.start.name if is_fresh(summary) else summary["starts"].get("name", "given"),
+            seed=config.seed,
+            run=_identity(manifest, summary),
+            episode=episode,
+        )
+        for episode in episodes
+    )
 
 
 def _identity(manifest: Mapping[str, Any], summary: Mapping[str, Any]) -> str:
-    """Names the policies and the starts that they were evaluated from."""
-    told = [manifest["checksums"], summary["starts"], summary.get("seed"), summary["episodes"]]
-    return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:16]
+    """Returns a short checksum of the policies and of the starts that they were evaluated from."""
+    starts = "fresh" if is_fresh(summary) else summary["starts"]
+    evaluation = [manifest["checksums"], starts, summary.get("seed"), summary["episodes"]]
+    return hashlib.sha256(json.dumps(evaluation, sort_keys=True).encode()).hexdigest()[:16]
+
+
+# Old names, for modules that are not ported yet
+look, findings, save = check_target, read_findings, write

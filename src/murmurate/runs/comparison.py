@@ -1,9 +1,17 @@
-"""Method against method, with the same eyes, schedulers, starts and step budget: how often each forms a pattern."""
+"""Compares methods with the same sensing, schedulers, starts and step budget: how often each forms a valid pattern.
+
+A comparison is a grid of conditions. Each is a job (see `execute`), whose result is one row of comparison.json.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import importlib
+import itertools
+import re
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, cast, get_args
@@ -12,17 +20,20 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from murmurate.policies.baselines import BASELINES
-from murmurate.discovery import Trajectories, bound_steps, build_cascade, check_validity
-from murmurate.errors import RunError, check_choice, check_number
-from murmurate.runs import config_io, storage
-from murmurate.runs.experiment import ExperimentConfig, check_seed
-from murmurate.runs.evaluate import wilson
-from murmurate.runs.run import MAX_EPISODES, Run
-from murmurate.geometry import neighbors_and_visible
+from murmurate import prng
 from murmurate.analysis.optimum.best_known import best_known
 from murmurate.analysis.optimum.formation import Target
+from murmurate.discovery import Trajectories, bound_steps, build_cascade, check_validity
+from murmurate.errors import InputError, RunError, check_choice, check_number
+from murmurate.geometry import neighbors_and_visible
 from murmurate.policies import LocalPolicy
+from murmurate.policies.baselines import BASELINES
+from murmurate.runs import config_io, files
+from murmurate.runs.evaluate import wilson
+from murmurate.runs.execute import Executor, InProcess, locked, run_jobs
+from murmurate.runs.experiment import ExperimentConfig, check_seed, make_importer
+from murmurate.runs.jobs import Job
+from murmurate.runs.run import MAX_EPISODES, Run
 from murmurate.world import (
     AsyncScheduler,
     Family,
@@ -37,7 +48,20 @@ from murmurate.world import (
     draw_starts,
 )
 
-__all__ = ["COMPARISON", "SCHEDULERS", "SENSINGS", "Cell", "Comparison", "cells", "compare", "load", "sorted_rows"]
+__all__ = [
+    "COMPARISON",
+    "SCHEDULERS",
+    "SENSINGS",
+    "Comparison",
+    "Condition",
+    "ConditionJob",
+    "compare",
+    "conditions",
+    "find_baseline",
+    "is_baseline",
+    "load",
+    "sorted_rows",
+]
 
 COMPARISON = "comparison.json"
 
@@ -58,23 +82,28 @@ SCHEDULERS: dict[str, Scheduler] = {
 }
 """When robots move, by name."""
 
+STRATEGIES: dict[str, tuple[Any, Any]] = {"sensings": (Sensing, SENSINGS), "schedulers": (Scheduler, SCHEDULERS)}
 RANDOM = "random"
 
-WORST = 3
-"""Failures kept of each cell, to be drawn."""
+MAX_WORST = 3
+"""Failures of each condition that are kept, to be drawn."""
 
-ROOM = 2**18
+MAX_PAIRS = 2**18
 """Pairs of robots in one batch of episodes, at most."""
 
+JOBS = ".conditions"
+"""Where jobs work, in the folder of the comparison; removed when they are done."""
+
+ROW = "row.json"
 _HELD_OUT = 2**31 + 1
 
 
 @dataclass(frozen=True)
-class Cell:
-    """One comparison.
+class Condition:
+    """What one row of the table compares.
 
     Attributes:
-        method: Name of a run, or of a baseline.
+        method: Name of a run, or of a baseline, or a baseline of one's own as "module:Class".
         sensing: A name of `SENSINGS`.
         scheduler: A name of `SCHEDULERS`.
         robots: Swarm size.
@@ -85,7 +114,10 @@ class Cell:
     sensing: str
     scheduler: str
     robots: int
-    start: str = "random"
+    start: str = RANDOM
+
+    def __str__(self) -> str:
+        return f"{self.method}, {self.sensing}, {self.scheduler}, {self.start}, N = {self.robots}"
 
 
 @dataclass(frozen=True)
@@ -93,9 +125,9 @@ class Comparison:
     """What is compared, and from which starts.
 
     Attributes:
-        base: The world, scaled_to to each swarm size, the objective and the rule of rest.
-        episodes: Random starts for each cell; the same for every method.
-        seed: Their seed; no training ever began at them.
+        base: The world, scaled to each swarm size, the objective and the rest rule.
+        episodes: Starts of each condition; the same for every method.
+        seed: Seed of the starts, and of frames, noise and scheduler; no training ever began at these starts.
     """
 
     base: ExperimentConfig
@@ -106,103 +138,211 @@ class Comparison:
         check_number("episodes", self.episodes, 1, MAX_EPISODES, integer=True)
         check_seed(self.seed)
 
-    def problem(self, cell: Cell) -> ExperimentConfig:
-        """Returns the experiment of one cell: its world, eyes and scheduler."""
-        frames = SENSINGS[cell.sensing]
-        if cell.method in BASELINES and BASELINES[cell.method].centralised:
-            # A central mind has one frame; with it come all positions.
-            frames = GlobalSensing()
-        policy = LocalPolicy()
-        problem = replace(self.base, policy=policy, sensing=frames, scheduler=SCHEDULERS[cell.scheduler], sizes=())
-        return problem.of_size(cell.robots)
+    def problem(self, condition: Condition) -> ExperimentConfig:
+        """Returns the experiment of one condition: its world, sensing and scheduler."""
+        sensing = SENSINGS[condition.sensing]
+        if is_baseline(condition.method) and find_baseline(condition.method).centralised:
+            # A centralised method has one frame, and all positions in it.
+            sensing = GlobalSensing()
+        scheduler = SCHEDULERS[condition.scheduler]
+        problem = replace(self.base, policy=LocalPolicy(), sensing=sensing, scheduler=scheduler, sizes=())
+        return problem.of_size(condition.robots)
 
 
-def cells(
+def is_baseline(method: str) -> bool:
+    """Returns whether a method is a baseline, of this package or of one's own, rather than a run."""
+    return method in BASELINES or ":" in method
+
+
+def find_baseline(method: str) -> Any:
+    """Returns the class of a baseline.
+
+    Args:
+        method: Its name, or "module:Class".
+
+    Raises:
+        InputError: There is no such class, or it cannot be imported.
+    """
+    if method in BASELINES:
+        return BASELINES[method]
+    module, _, name = method.partition(":")
+    try:
+        baseline = getattr(importlib.import_module(module), name)
+    except Exception as error:  # a user's module may raise anything
+        allowed = f"a baseline that can be imported as module:Class ({type(error).__name__}: {error})"
+        raise InputError("method", method, allowed) from None
+    if not (callable(baseline) and hasattr(baseline, "centralised")):
+        raise InputError("method", method, "the class of a baseline, with the field centralised")
+    return baseline
+
+
+def conditions(
     methods: Sequence[str],
     sensings: Sequence[str],
     schedulers: Sequence[str],
     sizes: Sequence[int],
     starts: Sequence[str] = (RANDOM,),
     known: Sequence[str] = (),
-) -> list[Cell]:
-    """Returns all cells of a comparison, in the order of its table.
+) -> list[Condition]:
+    """Returns every combination, in the order of the table.
 
     Args:
-        methods: Names of methods.
+        methods: Names of methods; baselines of one's own as "module:Class".
         sensings: Names of `SENSINGS`.
         schedulers: Names of `SCHEDULERS`.
         sizes: Swarm sizes.
-        starts: random, and families of symmetric starts; swarms too small for one are left out there.
+        starts: random, and families of symmetric starts; swarms too small for a family are left out of it.
         known: The methods that there are.
 
     Raises:
         InputError: A name is unknown; the message lists the known ones.
     """
+    for method in methods:
+        if ":" in method:
+            find_baseline(method)
     choices = (
-        ("method", methods, known),
+        ("method", [method for method in methods if ":" not in method], known),
         ("sensing", sensings, SENSINGS),
         ("scheduler", schedulers, SCHEDULERS),
         ("start", starts, (RANDOM, *get_args(Family))),
     )
-    for field, names, there in choices:
+    for field, names, allowed in choices:
         for name in names:
-            check_choice(field, name, tuple(there))
+            check_choice(field, name, tuple(allowed))
     for robots in sizes:
         check_number("robots", robots, 2, 1000, integer=True)
     return [
-        Cell(method, eyes, scheduler, robots, start)
-        for start in starts
-        for eyes in sensings
-        for scheduler in schedulers
-        for robots in sizes
-        for method in methods
+        Condition(method, sensing, scheduler, robots, start)
+        for start, sensing, scheduler, robots, method in itertools.product(starts, sensings, schedulers, sizes, methods)
         if start != "rings" or robots >= 4
     ]
 
 
 def compare(
     comparison: Comparison,
-    wanted: Sequence[Cell],
+    wanted: Sequence[Condition],
     runs: Mapping[str, Mapping[str, Run]],
     folder: str | Path,
-    on_progress: Callable[..., None] | None = None,
+    executor: Executor | None = None,
+    *,
     command: str | None = None,
+    quiet: bool = True,
 ) -> list[dict[str, Any]]:
-    """Runs every cell that the folder does not hold already, and keeps each there as soon as it is done.
+    """Evaluates every condition that the folder does not hold yet; each is kept there as soon as it is done.
 
-    Cells may differ in how many starts they have; one with more than are asked for is not run again.
+    Conditions may differ in their number of starts: one with more than are asked for is not evaluated again.
 
     Args:
         comparison: What is compared.
-        wanted: The cells.
-        runs: Learned methods by name, the run for each sensing; the other names are baselines'.
+        wanted: The conditions.
+        runs: Learned methods by name, the run for each sensing; the other methods are baselines.
         folder: Where comparison.json is, or will be.
-        on_progress: Called as `on_progress(work, done, total, **values)` after each cell.
-        command: What to note as having made the cells.
+        executor: Where conditions are evaluated; by default in this process, one after the other.
+        command: The command line that evaluates them, to be kept in comparison.json.
+        quiet: Show nothing.
 
     Returns:
-        The rows of the table, one a cell.
+        The rows of the table, one for each condition.
 
     Raises:
-        RunError: The folder holds another comparison, or cannot be written to.
+        RunError: The folder holds another comparison, or cannot be written to, or a condition failed.
     """
-    path = Path(folder) / COMPARISON
-    settings = _settings(comparison, runs)
-    done = _there(path, settings) if path.exists() else {}
+    folder = Path(folder)
+    path, settings = folder / COMPARISON, _settings(comparison, runs)
+    rows = _read_rows(path, settings) if path.exists() else {}
     before = load(folder) if path.exists() else {}
     settings["weights"] = {**before.get("weights", {}), **settings["weights"]}
     settings["commands"] = list(dict.fromkeys([*before.get("commands", []), *([command] if command else [])]))
-    storage.make_folder(Path(folder))
-    for place, cell in enumerate(wanted):
-        if cell not in done or done[cell]["episodes"] < comparison.episodes:
-            done[cell] = _row(comparison, cell, _policy(comparison, cell, runs))
-            storage.write_json(path, {**settings, "rows": list(done.values())})
-        if on_progress is not None:
-            name = f"{cell.method}, {cell.sensing}, {cell.scheduler}, {cell.start}, N = {cell.robots}"
-            share = done[cell]["valid"] / done[cell]["episodes"]
-            on_progress("comparison", place + 1, len(wanted), valid=share, note=name)
-    storage.write_json(path, {**settings, "rows": list(done.values())})
-    return [done[cell] for cell in wanted]
+    jobs = {}
+    for condition in wanted:
+        run = runs[condition.method][condition.sensing] if condition.method in runs else None
+        if run is not None:
+            run.warn_of_size(condition.robots)
+        if condition not in rows or rows[condition]["episodes"] < comparison.episodes:
+            job = ConditionJob(folder / JOBS / _file_name(str(condition)), comparison, condition, run)
+            jobs[job.name] = job
+    files.make_folder(folder)
+    with locked(folder / JOBS):
+        for old in (folder / JOBS).iterdir():
+            # Left over from a comparison that was interrupted, perhaps with other weights.
+            if old.is_dir():
+                shutil.rmtree(old, ignore_errors=True)
+
+        def keep(name: str) -> None:
+            job = jobs[name]
+            if job.is_finished():
+                rows[job.condition] = files.read_json(job.folder / ROW)
+                files.write_json(path, {**settings, "rows": list(rows.values())})
+
+        try:
+            statuses = run_jobs(list(jobs.values()), executor or InProcess(), on_end=keep, quiet=quiet)
+        finally:
+            shutil.rmtree(folder / JOBS, ignore_errors=True)
+        files.write_json(path, {**settings, "rows": list(rows.values())})
+    failed = [f"{name}: {status.error}" for name, status in statuses.items() if status.state == "failed"]
+    if failed:
+        raise RunError(failed[0] + (f" (and {len(failed) - 1} more conditions)" if len(failed) > 1 else ""))
+    return [rows[condition] for condition in wanted]
+
+
+@dataclass(frozen=True, eq=False)
+class ConditionJob(Job):
+    """The evaluation of one condition.
+
+    Attributes:
+        folder: Where the row is written.
+        comparison: The comparison.
+        condition: The condition.
+        learned: The run of the method; None for a baseline.
+    """
+
+    folder: Path
+    comparison: Comparison
+    condition: Condition
+    learned: Run | None = None
+
+    @property
+    def name(self) -> str:
+        """See `Job`."""
+        return str(self.condition)
+
+    def is_finished(self) -> bool:
+        """See `Job`."""
+        return (self.folder / ROW).is_file()
+
+    def run(self, on_progress: Any = None) -> None:
+        """See `Job`."""
+        self.prepare()
+        files.write_json(self.folder / ROW, _evaluate(self.comparison, self.condition, self._policies()))
+
+    def _policies(self) -> tuple[Any, ...]:
+        if self.learned is not None:
+            return self.learned.cascade.policies
+        world = self.comparison.problem(self.condition).world
+        return (find_baseline(self.condition.method)(world, self.comparison.base.landmark),)
+
+    def fields(self) -> dict[str, Any]:
+        """See `Job`."""
+        return {
+            "base": config_io.to_dict(self.comparison.base),
+            "episodes": self.comparison.episodes,
+            "seed": self.comparison.seed,
+            "condition": asdict(self.condition),
+            "learned": None if self.learned is None else str(self.learned.folder.resolve()),
+        }
+
+    @classmethod
+    def from_spec(cls, fields: Mapping[str, Any]) -> ConditionJob:
+        """See `Job`."""
+        base = config_io.from_dict(ExperimentConfig, fields["base"], importer=make_importer(fields["base"]))
+        comparison = Comparison(base, fields["episodes"], fields["seed"])
+        learned = None if fields["learned"] is None else Run.open(fields["learned"], trust=True)
+        return cls(Path(fields["folder"]), comparison, Condition(**fields["condition"]), learned)
+
+    def result(self) -> str:
+        """See `Job`."""
+        row = files.read_json(self.folder / ROW)
+        return f"{row['valid'] / row['episodes']:.1%} valid"
 
 
 def load(folder: str | Path) -> dict[str, Any]:
@@ -211,89 +351,101 @@ def load(folder: str | Path) -> dict[str, Any]:
     Raises:
         RunError: It is missing or damaged.
     """
-    found = storage.read_json(Path(folder) / COMPARISON)
-    if not isinstance(found, dict) or not isinstance(found.get("rows"), list):
+    comparison = files.read_json(Path(folder) / COMPARISON)
+    if not isinstance(comparison, dict) or not isinstance(comparison.get("rows"), list):
         raise RunError(f"{Path(folder) / COMPARISON} is not a comparison")
-    return found
+    return comparison
 
 
 def sorted_rows(folder: str | Path) -> list[dict[str, Any]]:
-    """Returns all cells that a folder holds, in the order of its table: learned methods before baselines.
+    """Returns all rows that a folder holds, in the order of the table: learned methods before baselines.
 
     Raises:
-        RunError: It is missing or damaged.
+        RunError: They are missing or damaged.
     """
-    places = {name: place for place, name in enumerate(("random", *get_args(Family), *SENSINGS, *SCHEDULERS))}
-    methods = {name: place for place, name in enumerate(BASELINES, start=1)}
+    names = {name: index for index, name in enumerate((RANDOM, *get_args(Family), *SENSINGS, *SCHEDULERS))}
+    baselines = {name: index for index, name in enumerate(BASELINES, start=1)}
 
-    def place(row: dict[str, Any]) -> tuple[Any, ...]:
-        names = (row["start"], row["sensing"], row["scheduler"])
-        return (*(places[name] for name in names), row["robots"], methods.get(row["method"], 0), row["method"])
+    def key(row: dict[str, Any]) -> tuple[Any, ...]:
+        method = baselines.get(row["method"], len(baselines) + 1 if is_baseline(row["method"]) else 0)
+        levels = [names[row[name]] for name in ("start", "sensing", "scheduler")]
+        return (*levels, row["robots"], method, row["method"])
 
-    return sorted(load(folder)["rows"], key=place)
+    return sorted(load(folder)["rows"], key=key)
 
 
 def _settings(comparison: Comparison, runs: Mapping[str, Mapping[str, Run]]) -> dict[str, Any]:
+    """Returns what all rows of a folder have in common, as comparison.json has it."""
     world = {name: value for name, value in asdict(comparison.base.world).items() if name != "collision_penalty"}
     return {
         "objective": comparison.base.objective,
         "world": world,
         "rest": asdict(comparison.base.rest),
         "seed": comparison.seed,
-        "sensings": {name: config_io.to_dict(config) for name, config in SENSINGS.items()},
-        "schedulers": {name: config_io.to_dict(config) for name, config in SCHEDULERS.items()},
-        "weights": {f"{name}, {eyes}": _identity(run) for name, own in runs.items() for eyes, run in own.items()},
+        "sensings": {name: config_io.to_dict(sensing) for name, sensing in SENSINGS.items()},
+        "schedulers": {name: config_io.to_dict(scheduler) for name, scheduler in SCHEDULERS.items()},
+        "weights": {
+            f"{name}, {sensing}": _fingerprint(run)
+            for name, by_sensing in runs.items()
+            for sensing, run in by_sensing.items()
+        },
     }
 
 
-def _identity(run: Run) -> str:
-    return hashlib.sha256(storage.to_json(run.manifest.get("checksums", {})).encode()).hexdigest()[:16]
+def _fingerprint(run: Run) -> str:
+    return hashlib.sha256(files.to_json(run.manifest.get("checksums", {})).encode()).hexdigest()[:16]
 
 
-def _there(path: Path, settings: Mapping[str, Any]) -> dict[Cell, dict[str, Any]]:
-    """Reads the cells that are done, if they are of the same comparison."""
-    found = load(path.parent)
+def _file_name(text: str) -> str:
+    return f"{re.sub(r'[^A-Za-z0-9]+', '-', text)[:80]}-{hashlib.sha256(text.encode()).hexdigest()[:8]}"
+
+
+def _read_rows(path: Path, settings: Mapping[str, Any]) -> dict[Condition, dict[str, Any]]:
+    """Reads the rows of a comparison.json by their conditions.
+
+    Raises:
+        RunError: It is of another comparison, or damaged.
+    """
+    recorded = load(path.parent)
     for name, value in settings.items():
-        # Names that only one of the two has do no harm: their cells are told apart.
-        there = found.get(name)
-        same = there == value
-        if name == "weights" and isinstance(there, dict):
-            same = all(there.get(key, one) == one for key, one in value.items())
+        old = recorded.get(name)
+        same = old == value
+        if name == "weights" and isinstance(old, dict):
+            # Methods that only one of the two has do no harm: their rows are told apart.
+            same = all(old.get(key, new) == new for key, new in value.items())
+        elif name in STRATEGIES and isinstance(old, dict) and not same:
+            # Version 0.1.0 wrote other names of fields.
+            kind, strategies = STRATEGIES[name]
+            with contextlib.suppress(InputError):
+                same = {key: config_io.from_dict(kind, fields) for key, fields in old.items()} == strategies
         if not same:
-            what = f"{name} is {there!r} there, {value!r} here"
+            what = f"{name} is {old!r} there, {value!r} here"
             raise RunError(f"{path} holds another comparison: {what}; choose another folder")
     try:
-        cells = {Cell(*(row[name] for name in Cell.__dataclass_fields__)): row for row in found["rows"]}
-        return {cell: {**row, "episodes": int(row["episodes"])} for cell, row in cells.items()}
+        rows = {Condition(*(row[name] for name in Condition.__dataclass_fields__)): row for row in recorded["rows"]}
+        return {condition: {**row, "episodes": int(row["episodes"])} for condition, row in rows.items()}
     except (KeyError, TypeError) as error:
         raise RunError(f"{path} is damaged: a row lacks {error}") from None
 
 
-def _policy(comparison: Comparison, cell: Cell, runs: Mapping[str, Mapping[str, Run]]) -> Any:
-    if cell.method in runs:
-        run = runs[cell.method][cell.sensing]
-        run.warn_of_size(cell.robots)
-        return run.cascade.policies
-    world = comparison.problem(cell).world
-    return (BASELINES[cell.method](world, comparison.base.landmark),)
-
-
-def _row(comparison: Comparison, cell: Cell, policies: Any) -> dict[str, Any]:
-    """Runs one cell."""
-    problem = comparison.problem(cell)
-    parts = [_judged(problem, ran) for ran in _rollouts(comparison, problem, policies, cell.start)]
+def _evaluate(comparison: Comparison, condition: Condition, policies: tuple[Any, ...]) -> dict[str, Any]:
+    """Runs a method under one condition, and returns its row of the table."""
+    problem = comparison.problem(condition)
+    parts = [_measure(problem, batch) for batch in _rollouts(comparison, problem, policies, condition.start)]
     joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     valid, count = joined["valid"], len(joined["valid"])
     known = best_known(Target(problem.world, problem.objective))
-    bad = np.flatnonzero(~valid)
-    worst = bad[np.argsort(joined["visible"][bad] + 2.0 * joined["free"][bad], kind="stable")][:WORST]
+    # Contacts before hidden robots; of each, those with the fewest visible pairs.
+    failures = np.flatnonzero(~valid)
+    badness = joined["visible"][failures] + 2.0 * joined["free"][failures]
+    worst = failures[np.argsort(badness, kind="stable")][:MAX_WORST]
 
     def mean(name: str) -> float | None:
         return float(joined[name][valid].mean()) if valid.any() else None
 
     value = mean("objective")
     return {
-        **asdict(cell),
+        **asdict(condition),
         "episodes": count,
         "valid": int(valid.sum()),
         "interval": list(wilson(int(valid.sum()), count)),
@@ -311,47 +463,45 @@ def _row(comparison: Comparison, cell: Cell, policies: Any) -> dict[str, Any]:
 
 
 def _rollouts(
-    comparison: Comparison, problem: ExperimentConfig, policies: Any, start: str = RANDOM
+    comparison: Comparison, problem: ExperimentConfig, policies: tuple[Any, ...], start: str = RANDOM
 ) -> Iterator[Trajectories]:
-    """Executes a method from all starts, so many at a time as memory holds; every method from the same."""
+    """Executes a method from all starts, as many at a time as memory holds; every method from the same."""
     cascade = build_cascade(problem, policies)
-    size = min(max(ROOM // problem.world.robots**2, 8), comparison.episodes)
-    key = jax.random.fold_in(jax.random.fold_in(jax.random.key(comparison.seed), _HELD_OUT), problem.world.robots)
+    size = min(max(MAX_PAIRS // problem.world.robots**2, 8), comparison.episodes)
+    drawn = cascade.world.start if start == RANDOM else SymmetricStart(cast(Any, start)).prepare(problem.world)
+    key = jax.random.fold_in(jax.random.fold_in(prng.key(comparison.seed), _HELD_OUT), problem.world.robots)
     for first in range(0, comparison.episodes, size):
-        if start == RANDOM:
-            starts = draw_starts(cascade.world.start, jax.random.fold_in(key, first), size, problem.world)
-        else:
-            family = SymmetricStart(cast(Any, start))
-            starts = draw_starts(family.prepare(problem.world), jax.random.fold_in(key, first), size, problem.world)
-        ran = cascade.rollout(starts, seed=first)
-        yield _first(ran, comparison.episodes - first)
+        starts = draw_starts(drawn, jax.random.fold_in(key, first), size, problem.world)
+        # Each batch of each seed has frames, noise and a scheduler of its own.
+        batch = cascade.rollout(starts, seed=(comparison.seed * MAX_EPISODES + first) % 2**32)
+        yield _first_episodes(batch, comparison.episodes - first)
 
 
-def _first(ran: Trajectories, count: int) -> Trajectories:
-    """Returns the first episodes."""
+def _first_episodes(batch: Trajectories, count: int) -> Trajectories:
     return Trajectories(
-        **{name: value[:count] for name, value in vars(ran).items() if name != "signals"},
-        signals={name: value[:count] for name, value in ran.signals.items()},
+        **{name: value[:count] for name, value in vars(batch).items() if name != "signals"},
+        signals={name: value[:count] for name, value in batch.signals.items()},
     )
 
 
-def _judged(problem: ExperimentConfig, ran: Trajectories) -> dict[str, np.ndarray]:
+def _measure(problem: ExperimentConfig, batch: Trajectories) -> dict[str, np.ndarray]:
     """Measures every episode."""
-    validity, world = check_validity(ran, problem.world, problem.thresholds), problem.world
-    bound = np.array([bound_steps(a, b, world.max_speed) for a, b in zip(ran.positions[:, 0], ran.final, strict=True)])
+    validity, world = check_validity(batch, problem.world, problem.thresholds), problem.world
+    ends = zip(batch.positions[:, 0], batch.final, strict=True)
+    bound = np.array([bound_steps(first, last, world.max_speed) for first, last in ends])
     return {
         "valid": validity.valid,
         "free": validity.contact_free & validity.inside,
-        "left": _left(ran.final, world),
+        "left": _left(batch.final, world),
         "seen": validity.mutually_visible,
         "safe": validity.safe,
         "rest": validity.at_rest,
-        "visible": _share_visible(ran.final, world),
-        "steps": ran.lengths,
-        "epochs": ran.epochs,
-        "efficiency": bound / np.maximum(ran.lengths, 1),
-        "objective": np.sum([values[:, -1] for values in ran.signals.values()], axis=0),
-        "final": ran.final,
+        "visible": _visible_fraction(batch.final, world),
+        "steps": batch.lengths,
+        "epochs": batch.epochs,
+        "efficiency": bound / np.maximum(batch.lengths, 1),
+        "objective": np.sum([values[:, -1] for values in batch.signals.values()], axis=0),
+        "final": batch.final,
     }
 
 
@@ -360,6 +510,6 @@ def _left(final: Float[np.ndarray, "episodes robots 2"], world: WorldConfig) -> 
     return np.asarray((np.abs(final) > bounds).any(axis=(1, 2)))
 
 
-def _share_visible(final: Float[np.ndarray, "episodes robots 2"], world: WorldConfig) -> np.ndarray:
+def _visible_fraction(final: Float[np.ndarray, "episodes robots 2"], world: WorldConfig) -> np.ndarray:
     _, seen = neighbors_and_visible(np.moveaxis(final, 0, -1), world.radius, world.scan_radius)
     return seen.sum(axis=(0, 1)) / (world.robots * (world.robots - 1))

@@ -1,4 +1,4 @@
-"""A comparison as a page: its table in Markdown, by itself or as a part of another page."""
+"""A comparison as a page in Markdown, or as a part of another page."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 from murmurate.runs.table import NONE, Row, as_markdown
 
-__all__ = ["HEADER", "kept", "page", "put_into", "rows"]
+__all__ = ["HEADER", "kept", "page", "put_into", "table_rows"]
 
 HEADER = (
     "method",
@@ -30,42 +30,42 @@ HEADER = (
 BEGIN, END = "<!-- comparison -->", "<!-- end of comparison -->"
 
 
-def rows(found: Iterable[Mapping[str, Any]]) -> list[Row]:
-    """Returns a row of the table for each cell of comparison.json, under `HEADER`."""
+def table_rows(rows: Iterable[Mapping[str, Any]]) -> list[Row]:
+    """Returns a row of the table for each row of comparison.json, under `HEADER`."""
     return [
         (
-            one["method"],
-            one["sensing"],
-            one["scheduler"],
-            one["start"],
-            str(one["robots"]),
-            f"{one['valid']} of {one['episodes']}",
-            f"{100 * one['interval'][0]:.1f}-{100 * one['interval'][1]:.1f}%",
-            str(one["collisions"]),
-            str(one["left"]),
-            str(one["hidden"]),
-            str(one["restless"]),
-            _number(one["steps"], "{:.1f}"),
-            _number(one["epochs"], "{:.1f}"),
-            _number(one["efficiency"], "{:.2f}"),
-            _number(one["gap"], "{:.4f}"),
+            row["method"],
+            row["sensing"],
+            row["scheduler"],
+            row["start"],
+            str(row["robots"]),
+            f"{row['valid']} of {row['episodes']}",
+            f"{100 * row['interval'][0]:.1f}-{100 * row['interval'][1]:.1f}%",
+            str(row["collisions"]),
+            str(row["left"]),
+            str(row["hidden"]),
+            str(row["restless"]),
+            _number(row["steps"], "{:.1f}"),
+            _number(row["epochs"], "{:.1f}"),
+            _number(row["efficiency"], "{:.2f}"),
+            _number(row["gap"], "{:.4f}"),
         )
-        for one in found
+        for row in rows
     ]
 
 
 def page(
-    found: Sequence[Mapping[str, Any]], commands: Sequence[str], notes: Sequence[str] = (), pictures: str = ""
+    rows: Sequence[Mapping[str, Any]], commands: Sequence[str], notes: Sequence[str] = (), pictures: str = ""
 ) -> str:
-    """Writes what was compared, the table, and the figures.
+    """Returns the page: what was compared, the table, and the figures.
 
     Args:
-        found: Rows of comparison.json.
-        commands: What made it.
+        rows: Rows of comparison.json.
+        commands: The commands that evaluated them.
         notes: Remarks on methods, one line each.
         pictures: Folder of comparison.png and failures.png, as a prefix of their links.
     """
-    failures = any(one["worst"] for one in found)
+    failures = any(row["worst"] for row in rows)
     lines = [
         "## Any swarm, with its own eyes, under any scheduler",
         "",
@@ -75,12 +75,12 @@ def page(
         *commands,
         "```",
         "",
-        "Every cell has the same starts for all methods, none of them seen in training, the same speed limit and",
-        "the same step budget. Robots have directions and handedness of their own; only",
+        "Under each condition all methods have the same starts, none of them seen in training, the same speed limit,",
+        "and the same step budget. Robots have directions and handedness of their own; only",
         "`circle-central` has a common frame and all positions. Steps, epochs and efficiency (kinematic bound over",
         "steps) are means over the valid episodes; the gap is to the best-known pattern, where there is one.",
         "",
-        as_markdown(HEADER, rows(found)),
+        as_markdown(HEADER, table_rows(rows)),
         *(f"- {note}" for note in notes),
         *([""] if notes else []),
         f"![Valid patterns by method]({pictures}comparison.png)",

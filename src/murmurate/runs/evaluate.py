@@ -1,4 +1,4 @@
-"""What a cascade does from given starts: how often a valid pattern, in how many steps, against the kinematic bound."""
+"""Evaluation of a cascade: how often it forms a valid pattern, in how many steps, against the kinematic bound."""
 
 from __future__ import annotations
 
@@ -11,87 +11,94 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from murmurate.discovery import Trajectories, Validity, bound_steps, check_validity
-from murmurate.runs import storage
-from murmurate.runs.experiment import ExperimentConfig
-from murmurate.runs.presets import command
-from murmurate.runs.run import Run
 from murmurate.analysis.optimum.best_known import BestKnown, best_known, is_record
 from murmurate.analysis.optimum.formation import Target
+from murmurate.discovery import Trajectories, Validity, bound_steps, check_validity
+from murmurate.runs.experiment import ExperimentConfig
+from murmurate.runs.folder import RunFolder
+from murmurate.runs.presets import command
+from murmurate.runs.run import Run
+from murmurate.world import Configuration, Objective
 
-__all__ = ["EPISODES", "EVALUATION", "FRESH", "RECORD", "SEED", "TRAJECTORIES", "Evaluation", "evaluate", "wilson"]
+__all__ = ["EPISODES", "SEED", "Evaluation", "evaluate", "wilson"]
 
 EPISODES = 200
 """Episodes of an evaluation, as in the paper."""
 
 SEED = 0
-"""Seed of an evaluation's starts; they are never those of a training, whatever its seed (see `Run.starts`)."""
-
-FRESH = "fresh"
-EVALUATION = "evaluation.json"
-TRAJECTORIES = "trajectories.npz"
-RECORD = "record.json"
+"""Seed of an evaluation; its starts are never those of a training, whatever that one's seed (see `Run.starts`)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """Episodes of a cascade, judged. Means are over all episodes, whether they ended in a valid pattern or not.
+    """Episodes of a cascade and what holds of each. Means are over all episodes, valid or not.
 
     Attributes:
         experiment: The run's experiment.
-        seed: Seed of the starts, when they are fresh.
-        starts: Where the starts are from: `fresh`, or the name of what held them.
-        trajectories: What happened.
-        validity: What holds of each episode.
+        seed: Seed of the starts, where they are fresh, of the robots' frames, of noise and of the scheduler.
+        starts: Where the episodes began, as evaluation.json has it; see `folder.describe_starts`.
+        trajectories: The episodes.
+        validity: The conditions of a valid pattern, for each episode.
         bound: The kinematic bound of each episode, steps.
     """
 
     experiment: ExperimentConfig
     seed: int
-    starts: str
+    starts: dict[str, str]
     trajectories: Trajectories
     validity: Validity
     bound: Float[np.ndarray, " episodes"]
 
     def summary(self) -> dict[str, Any]:
         """Returns what evaluation.json holds."""
-        ran, validity = self.trajectories, self.validity
-        episodes, total, bound = len(ran.lengths), float(ran.lengths.mean()), float(self.bound.mean())
-        base = float((ran.switch[:, 0] if ran.switch.shape[1] else ran.lengths).mean())
-        names = ("contact_free", "inside", "mutually_visible", "gathered", "safe", "at_rest", "valid")
-        signal = {name: float(ran.signals[name][:, -1].mean()) for name in self.experiment.signal_names}
-        reached, known, best = sum(signal.values()), best_known(self.target), self.best
+        trajectories, validity = self.trajectories, self.validity
+        episodes, bound = len(trajectories.lengths), float(self.bound.mean())
+        total = float(trajectories.lengths.mean())
+        # A list of one policy has no switch: all steps are the base policy's.
+        base = float((trajectories.switch[:, 0] if trajectories.switch.shape[1] else trajectories.lengths).mean())
+        conditions = ("contact_free", "inside", "mutually_visible", "gathered", "safe", "at_rest", "valid")
+        signal = {name: float(trajectories.signals[name][:, -1].mean()) for name in self.objective.names}
+        objective = float(self.objective(signal))
+        known = None if self.target is None else best_known(self.target)
         return {
             "experiment": self.experiment.name,
             "robots": self.experiment.world.robots,
             "episodes": episodes,
             "seed": self.seed,
             "starts": self.starts,
-            **{name: float(getattr(validity, name).mean()) for name in names},
+            **{name: float(getattr(validity, name).mean()) for name in conditions},
             "valid_interval": list(wilson(int(validity.valid.sum()), episodes)),
+            "thresholds": {name: float(reached.mean()) for name, reached in validity.signals.items()},
             "base_steps": base,
             "auxiliary_steps": total - base,
             "total_steps": total,
-            "epochs": float(ran.epochs.mean()),
+            "epochs": float(trajectories.epochs.mean()),
             "bound_steps": bound,
             "efficiency": bound / max(total, 1.0),
-            "signal": {**signal, "total": reached},
+            "signal": {**signal, "total": objective},
             "best_known": known,
-            "gap": None if known is None else known - reached,
-            "best_found": None if best is None else float(self.values[best]),
+            "gap": None if known is None else known - objective,
+            "best_found": None if self.best is None else float(self.values[self.best]),
             "failures": np.flatnonzero(~validity.valid).tolist(),
         }
 
     @property
-    def target(self) -> Target:
-        """By what the patterns are compared."""
-        return Target(self.experiment.world, self.experiment.objective)
+    def objective(self) -> Objective:
+        """The experiment's objective, with the signals' own weights."""
+        return Objective(self.experiment.objective_signals)
+
+    @property
+    def target(self) -> Target | None:
+        """What the patterns are compared by with the best known ones; None for an objective that is not the paper's."""
+        experiment = self.experiment
+        return Target(experiment.world, experiment.objective) if experiment.has_paper_objective else None
 
     @functools.cached_property
     def values(self) -> Float[np.ndarray, " episodes"]:
-        """The objective at the end of each episode, all weights 1, in float64."""
-        finals = np.moveaxis(self.trajectories.final.astype(float), 0, -1)
-        return np.sum(list(self.target.signals(finals).values()), axis=0)
+        """The objective at the end of each episode, with the signals' own weights, in float64."""
+        final = Configuration(np.moveaxis(self.trajectories.final.astype(float), 0, -1), self.experiment.world)
+        measured = self.objective.measure(final)
+        return np.asarray(self.objective({name: np.asarray(value, float) for name, value in measured.items()}))
 
     @property
     def best(self) -> int | None:
@@ -100,39 +107,42 @@ class Evaluation:
 
     def record(self) -> BestKnown | None:
         """Returns the best pattern as an entry for the table of best-known patterns, if it beats the table."""
-        if self.best is None or not is_record(self.target, float(self.values[self.best])):
+        target, best = self.target, self.best
+        if target is None or best is None or not is_record(target, float(self.values[best])):
             return None
-        final = self.trajectories.final[self.best].astype(float)
-        return BestKnown.of(self.target, final, command(self.experiment))
+        return BestKnown.of(target, self.trajectories.final[best].astype(float), command(self.experiment))
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Returns what trajectories.npz holds."""
-        ran, names = self.trajectories, self.experiment.signal_names
-        signals = np.stack([ran.signals[name] for name in names], axis=-1).astype(np.float32)
+        trajectories, names = self.trajectories, self.objective.names
+        signals = np.stack([trajectories.signals[name] for name in names], axis=-1).astype(np.float32)
+        weights = np.array([self.objective.weights[name] for name in names], np.float32)
         return {
-            "positions": ran.positions.astype(np.float32),
-            "lengths": ran.lengths.astype(np.int32),
-            "switch": ran.switch.astype(np.int32),
-            "objective": signals.sum(axis=-1, dtype=np.float32),
+            "positions": trajectories.positions.astype(np.float32),
+            "lengths": trajectories.lengths.astype(np.int32),
+            "switch": trajectories.switch.astype(np.int32),
+            "objective": (signals * weights).sum(axis=-1, dtype=np.float32),
             "signals": signals,
             "signal_names": np.array(names),
-            "at_rest": ran.at_rest.astype(bool),
+            "at_rest": trajectories.at_rest.astype(bool),
+            "terminated": trajectories.terminated.astype(bool),
+            "epochs": trajectories.epochs.astype(np.int32),
         }
 
-    def save(self, folder: str | Path) -> None:
-        """Writes trajectories.npz and evaluation.json, each in the place of the one before, and a record, if it is one.
+    def save(self, folder: str | Path | RunFolder) -> None:
+        """Writes the evaluation to a run folder, in place of the one before.
 
         Raises:
             RunError: A file cannot be written.
         """
         record = self.record()
-        if record is None:
-            with storage.os_errors_as_run_errors(f"cannot write to {folder}"):
-                (Path(folder) / RECORD).unlink(missing_ok=True)
-        else:
-            storage.write_json(Path(folder) / RECORD, record.to_dict())
-        storage.write_npz(Path(folder) / TRAJECTORIES, self.arrays())
-        storage.write_json(Path(folder) / EVALUATION, self.summary())
+        target = folder if isinstance(folder, RunFolder) else RunFolder(folder)
+        target.write_evaluation(self.summary(), self.arrays(), None if record is None else record.to_dict())
+
+    def __repr__(self) -> str:
+        valid, episodes = int(self.validity.valid.sum()), len(self.trajectories.lengths)
+        steps = self.trajectories.lengths.mean()
+        return f"Evaluation({self.experiment.name}: {valid} of {episodes} episodes valid, {steps:.1f} steps)"
 
 
 def evaluate(
@@ -140,29 +150,33 @@ def evaluate(
     episodes: int = EPISODES,
     seed: int = SEED,
     starts: Float[np.ndarray, "episodes robots 2"] | None = None,
-    source: str = "given",
+    file: str | None = None,
 ) -> Evaluation:
-    """Executes a run's cascade and judges every episode by its recorded positions.
+    """Executes a run's cascade and checks every episode by its recorded positions.
 
     Args:
         run: The run.
-        episodes: How many fresh starts to draw.
-        seed: Their seed.
-        starts: Configurations to begin at instead, world units.
-        source: What to call those in the record, such as their file's name.
+        episodes: Number of fresh starts to draw.
+        seed: Seed of the starts, of the robots' frames, of noise and of the scheduler.
+        starts: Configurations to begin at instead of fresh ones, world units.
+        file: Name of the file that those are from, for the record.
 
     Raises:
-        InputError: A start has another shape, is in collision or lies outside the world.
+        InputError: A start has another shape, is in contact or lies outside the world.
     """
-    ran = run.rollout(episodes, seed) if starts is None else run.rollout(starts)
-    speed = run.experiment.world.max_speed
-    bound = [bound_steps(first, last, speed) for first, last in zip(ran.positions[:, 0], ran.final, strict=True)]
+    trajectories = run.rollout(episodes if starts is None else starts, seed)
+    experiment, first, final = run.experiment, trajectories.positions[:, 0], trajectories.final
+    bound = [bound_steps(*ends, experiment.world.max_speed) for ends in zip(first, final, strict=True)]
+    if starts is None:
+        source = {"kind": "fresh"}
+    else:
+        source = {"kind": "given"} if file is None else {"kind": "file", "name": file}
     return Evaluation(
-        experiment=run.experiment,
+        experiment=experiment,
         seed=seed,
-        starts=FRESH if starts is None else source,
-        trajectories=ran,
-        validity=check_validity(ran, run.experiment.world),
+        starts=source,
+        trajectories=trajectories,
+        validity=check_validity(trajectories, experiment.world, experiment.thresholds),
         bound=np.array(bound),
     )
 
@@ -173,3 +187,9 @@ def wilson(successes: int, trials: int, z: float = 1.96) -> tuple[float, float]:
     center = (share + squared / 2) / (1 + squared)
     half = math.sqrt(share * (1 - share) * squared + squared * squared / 4) / (1 + squared)
     return max(0.0, center - half), min(1.0, center + half)
+
+
+# Old names, for modules that are not ported yet
+from murmurate.runs.folder import EVALUATION, RECORD, TRAJECTORIES  # noqa: E402, F401
+
+FRESH = {"kind": "fresh"}

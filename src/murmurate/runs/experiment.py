@@ -12,10 +12,22 @@ from murmurate.discovery import Problem
 from murmurate.discovery.problem import GATHERING
 from murmurate.errors import InputError, RunError, check_choice, check_number
 from murmurate.registry import Importer, Strategy, source_folder
-from murmurate.runs import config_io, storage
+from murmurate.runs import config_io, files
 from murmurate.world import OBJECTIVES, FileStart, scaled_to
 
-__all__ = ["STARTS", "ExperimentConfig", "check_same", "check_seed", "load", "make_importer", "read_toml", "save"]
+__all__ = [
+    "EXPERIMENT",
+    "STARTS",
+    "ExperimentConfig",
+    "check_same",
+    "check_seed",
+    "load",
+    "make_importer",
+    "read_toml",
+    "save",
+]
+
+EXPERIMENT = "experiment.toml"
 
 STARTS = "starts.csv"
 """A run that begins at given positions keeps its own copy of them under this name."""
@@ -80,7 +92,9 @@ class ExperimentConfig(Problem):
             given = config_io.to_dict(self.sensing)
             standard = config_io.to_dict(usual)
             name = next(name for name, value in given.items() if value != standard.get(name))
-            allowed = f"{standard.get(name, 'left out')}: with the policy {self.policy.name} robots act on all positions"
+            allowed = (
+                f"{standard.get(name, 'left out')}: with the policy {self.policy.name} robots act on all positions"
+            )
             raise InputError(f"sensing.{name}", given[name], f"{allowed}; to act on their own view choose policy local")
         if self.landmark and not self.sensing.landmark:
             reason = "true with objective C1: in frames of their own, robots find a given point only by a landmark"
@@ -166,9 +180,9 @@ def save(config: ExperimentConfig, folder: str | Path) -> None:
     config = replace(config, modules=modules)
     if isinstance(start, FileStart):
         config = replace(config, start=replace(start, file=STARTS))
-    storage.write_text(folder / storage.EXPERIMENT, config_io.dump_toml(config))
+    files.write_text(folder / EXPERIMENT, config_io.dump_toml(config))
     if isinstance(start, FileStart):
-        storage.write_bytes(folder / STARTS, Path(start.file).read_bytes())
+        files.write_bytes(folder / STARTS, Path(start.file).read_bytes())
 
 
 def load(
@@ -184,7 +198,7 @@ def load(
     Raises:
         RunError: It is missing or not one that this version understands.
     """
-    path = Path(folder) / storage.EXPERIMENT
+    path = Path(folder) / EXPERIMENT
     try:
         data = read_toml(path)
         importer = replace(make_importer(data, trusted=trusted), imported=imported or {})

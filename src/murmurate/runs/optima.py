@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
-from murmurate.runs.table import NONE, Row
 from murmurate.analysis import convex_layers, symmetry, visibility_margin
 from murmurate.analysis.optimum.best_known import BestKnown
 from murmurate.analysis.optimum.bounds import PROVED, ring, upper_bound
+from murmurate.runs.table import NONE, Row
 
 __all__ = ["OPTIMA", "rows"]
 

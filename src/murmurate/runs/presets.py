@@ -10,15 +10,23 @@ from typing import Any, cast
 
 from murmurate.discovery import DiscoveryConfig, RestRule, StageConfig
 from murmurate.errors import check_choice
+from murmurate.learning import PPOConfig
+from murmurate.policies import CentralPolicy, EquivariantPolicy, LocalPolicy, Policy
 from murmurate.runs import config_io
 from murmurate.runs.experiment import ExperimentConfig, make_importer, read_toml
 from murmurate.runs.paper import EXPERIMENTS, NOISE, PaperExperiment, check_experiment
-from murmurate.learning import PPOConfig
-from murmurate.policies import CentralPolicy, EquivariantPolicy, LocalPolicy, Policy
 from murmurate.world import OBJECTIVES, ScatteredStart, Start, WorldConfig
 
-__all__ = ["DEFAULT_LEARNER", "TRAINING_PRESETS", "EXPERIMENT_OVERRIDES", "TrainingPreset", "command", "paper_row",
-"preset", "resolve"]
+__all__ = [
+    "DEFAULT_LEARNER",
+    "EXPERIMENT_OVERRIDES",
+    "TRAINING_PRESETS",
+    "TrainingPreset",
+    "command",
+    "paper_row",
+    "preset",
+    "resolve",
+]
 
 
 @dataclass(frozen=True)

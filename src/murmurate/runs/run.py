@@ -12,16 +12,15 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from murmurate.discovery import Cascade, Trajectories, build_cascade, policy_name, policy_templates
+from murmurate import prng
+from murmurate.discovery import Cascade, Trajectories, build_cascade, policy_templates
 from murmurate.errors import BeyondTrainingWarning, InputError, RunError, check_number
-from murmurate.runs import experiment as configuration
-from murmurate.runs import storage, serialization
-from murmurate.runs.experiment import ExperimentConfig
-from murmurate.world import FileStart, World, check_configurations, draw_starts
+from murmurate.runs import files
+from murmurate.runs.experiment import EXPERIMENT, ExperimentConfig, check_seed
+from murmurate.runs.folder import METRICS, RunFolder
+from murmurate.world import World, check_configurations, draw_starts
 
-__all__ = ["MAX_EPISODES", "METRICS", "Run", "check_draw", "policy_files"]
-
-METRICS = "metrics.jsonl"
+__all__ = ["MAX_EPISODES", "Run", "check_draw", "rollout_seed"]
 
 MAX_EPISODES = 10_000
 """Episodes of one rollout, at most: all of their positions are held in memory."""
@@ -47,50 +46,50 @@ class Run:
     manifest: Mapping[str, Any]
 
     @classmethod
-    def open(cls, folder: str | Path) -> Run:
-        """Opens the folder of a finished run; nothing in it is ever executed.
+    def open(cls, folder: str | Path, trust: bool = False) -> Run:
+        """Opens the folder of a finished run; its files are checked, and none is executed.
+
+        Args:
+            folder: The run folder.
+            trust: Whether modules from outside the package that the run's configuration names ("module:Class") may be
+                imported. Importing a module executes it.
 
         Raises:
-            RunError: The folder is missing, unfinished, damaged or of an unknown version.
+            RunError: The folder is missing, unfinished, damaged or of an unknown version, or names modules and is not
+                trusted.
         """
-        folder = Path(folder)
-        manifest = storage.read_manifest(folder)
-        storage.verify(folder, manifest)
-        experiment = configuration.load(folder)
-        names = manifest.get("policies")
-        files = policy_files(len(names)) if isinstance(names, list) else ()
-        if not files or not {storage.EXPERIMENT, *files} <= manifest["checksums"].keys():
-            raise RunError(f"{folder / storage.MANIFEST} does not list every policy with its checksum")
-        templates = policy_templates(experiment, len(files))
-        policies = [serialization.load(folder / file, like) for file, like in zip(files, templates, strict=True)]
+        run = RunFolder(folder)
+        manifest = run.verify()
+        experiment = run.experiment(trust)
+        policies = run.policies(policy_templates(experiment, len(manifest["policies"])))
         try:
-            return cls(folder, experiment, build_cascade(experiment, policies), manifest)
+            return cls(run.path, experiment, build_cascade(experiment, policies), manifest)
         except InputError as error:
-            raise RunError(f"{folder / storage.EXPERIMENT}: {error}") from None
+            raise RunError(f"{run.path / EXPERIMENT}: {error}") from None
 
     @property
     def world(self) -> World:
-        """The experiment's world, all weights 1."""
+        """The experiment's world; its objective has the signals' own weights."""
         return self.cascade.world
 
     def of_size(self, robots: int) -> Run:
-        """Returns the run with its policies in a swarm of another size, in a world grown to it.
+        """Returns the run with its policies in a swarm of another size, in a world scaled to it.
 
         Warns once of a size beyond those that the policies were trained among.
 
         Raises:
             InputError: The policies are for one size only, or there are too few or too many robots.
         """
-        own = self.experiment.world.robots
-        if robots == own:
+        current = self.experiment.world.robots
+        if robots == current:
             return self
         if not self.experiment.policy.any_size:
-            raise InputError("robots", robots, f"{own}: the policy {self.experiment.policy.name} is of one size")
+            raise InputError("robots", robots, f"{current}: the policy {self.experiment.policy.name} is of one size")
         if not self.experiment.start.fits_any_size():
-            raise InputError("robots", robots, f"{own}, as in the run's file of starts")
-        changed = self.under(self.experiment.of_size(robots))
+            raise InputError("robots", robots, f"{current}, as in the run's file of starts")
+        scaled = self.under(self.experiment.of_size(robots))
         self.warn_of_size(robots)
-        return changed
+        return scaled
 
     def warn_of_size(self, robots: int) -> None:
         """Warns of a swarm size beyond those that the policies were trained among."""
@@ -100,7 +99,7 @@ class Run:
             warnings.warn(text, BeyondTrainingWarning, stacklevel=3)
 
     def under(self, experiment: ExperimentConfig) -> Run:
-        """Returns the run with its policies in another world, with other eyes or under another scheduler.
+        """Returns the run with its policies in another world, with another sensing or under another scheduler.
 
         Raises:
             InputError: The experiment is impossible.
@@ -113,89 +112,81 @@ class Run:
         Raises:
             RunError: The folder holds something already, or cannot be written to.
         """
-        folder = Path(folder)
-        storage.claim(folder)
-        configuration.save(self.experiment, folder)
-        files = policy_files(len(self.cascade.policies))
-        storage.make_folder(folder / "policies")
-        for file, policy in zip(files, self.cascade.policies, strict=True):
-            serialization.save(folder / file, policy)
+        target = RunFolder(folder)
+        target.create()
+        target.write_experiment(self.experiment)
+        target.write_policies(self.cascade.policies)
         if (self.folder / METRICS).is_file():
-            storage.write_bytes(folder / METRICS, (self.folder / METRICS).read_bytes())
-        kept = [storage.EXPERIMENT, *([configuration.STARTS] if isinstance(self.experiment.start, FileStart) else []), *files]
-        manifest = {**self.manifest, "robots": self.experiment.world.robots}
-        storage.write_json(folder / storage.MANIFEST, {**manifest, "checksums": storage.checksums(folder, kept)})
-        return folder
+            files.write_bytes(target.path / METRICS, files.read_bytes(self.folder / METRICS))
+        target.write_manifest({**self.manifest, "robots": self.experiment.world.robots}, len(self.cascade.policies))
+        return target.path
 
+    @prng.reproducible()
     def starts(self, episodes: int, key: int | PRNGKeyArray = 0) -> Float[np.ndarray, "episodes robots 2"]:
         """Draws fresh starts of the experiment.
 
         Args:
-            episodes: How many.
+            episodes: Number of starts.
             key: A seed, or a key of `jax.random`. Even the training's own seed gives starts that it never saw.
 
         Raises:
-            InputError: The number of episodes is out of bounds.
+            InputError: The number of episodes is out of bounds, or the key is no seed.
         """
         check_draw(episodes, key)
         if isinstance(key, int | np.integer):
-            key = jax.random.fold_in(jax.random.key(int(key)), _HELD_OUT)
+            key = jax.random.fold_in(prng.key(int(key)), _HELD_OUT)
         return draw_starts(self.world.start, key, int(episodes), self.world.config)
 
-    def rollout(self, starts: int | Float[Array, " ..."] | Any = 1, key: int | PRNGKeyArray = 0) -> Trajectories:
+    @prng.reproducible()
+    def rollout(self, starts: int | Float[Array, " ..."] | Any = 100, key: int | PRNGKeyArray = 0) -> Trajectories:
         """Executes the cascade.
 
         Args:
             starts: A number of fresh starts to draw, or configurations `(episodes, robots, 2)`, or one `(robots, 2)`,
                 world units.
-            key: A seed or a key of `jax.random`, for fresh starts.
+            key: A seed or a key of `jax.random`: for fresh starts, the robots' frames, noise and the scheduler.
 
         Returns:
-            What happened, until the last episode was at rest, terminated or cut off.
+            The episodes, until the last one was at rest, terminated or cut off.
 
         Raises:
-            InputError: A configuration has another shape, is in collision or lies outside the world.
+            InputError: A configuration has another shape, is in contact or lies outside the world; or the key is no
+                seed.
         """
         if isinstance(starts, int | np.integer):
-            return self.cascade.rollout(self.starts(int(starts), key))
-        points = np.asarray(starts, float)
+            return self.cascade.rollout(self.starts(int(starts), key), rollout_seed(key))
+        try:
+            points = np.asarray(starts, float)
+        except (TypeError, ValueError):
+            points = np.empty(0)
         points = points[None] if points.ndim == 2 else points
         robots = self.experiment.world.robots
         if points.ndim != 3 or points.shape[1:] != (robots, 2):
-            raise InputError("starts", f"an array {points.shape}", f"of shape (episodes, {robots}, 2)")
-        check_number("episodes", len(points), 1, MAX_EPISODES, integer=True)
+            raise InputError("starts", f"an array {np.shape(points)}", f"of shape (episodes, {robots}, 2)")
+        check_draw(len(points), key)
         check_configurations(points, self.experiment.world, "starts")
-        return self.cascade.rollout(points)
+        return self.cascade.rollout(points, rollout_seed(key))
 
-    def copy(self, folder: str | Path) -> Path:
-        """Copies the run without its evaluation, unless the folder holds a copy of it already.
-
-        Raises:
-            RunError: The folder holds something else, or cannot be written to.
-        """
-        folder = Path(folder)
-        if (folder / storage.MANIFEST).is_file() and storage.read_json(folder / storage.MANIFEST) == self.manifest:
-            return folder
-        storage.claim(folder)
-        for name in (*self.manifest["checksums"], METRICS, storage.MANIFEST):
-            source, target = self.folder / name, folder / name
-            if source.is_file():
-                storage.make_folder(target.parent)
-                storage.write_bytes(target, source.read_bytes())
-        return folder
+    def __repr__(self) -> str:
+        experiment, count = self.experiment, len(self.cascade.policies)
+        policies = f"{count} {experiment.policy.name} {'policy' if count == 1 else 'policies'}"
+        return f"Run({experiment.name}: {experiment.world.robots} robots, {experiment.objective}, {policies})"
 
 
 def check_draw(episodes: int, key: int | PRNGKeyArray) -> None:
-    """Checks a number of fresh starts and the seed to draw them with.
+    """Checks a number of episodes and the seed of their random numbers.
 
     Raises:
         InputError: One is out of bounds.
     """
     check_number("episodes", episodes, 1, MAX_EPISODES, integer=True)
+    if not isinstance(key, jax.Array | np.ndarray):
+        check_seed(int(key) if isinstance(key, np.integer) else key)
+
+
+def rollout_seed(key: int | PRNGKeyArray) -> int:
+    """Returns the seed of the frames, noise and scheduler of a rollout: a seed itself, or drawn with a key."""
     if isinstance(key, int | np.integer):
-        configuration.check_seed(int(key))
-
-
-def policy_files(count: int) -> list[str]:
-    """Returns the files of the first `count` policies, relative to the run folder."""
-    return [f"policies/{index}-{policy_name(index)}.safetensors" for index in range(count)]
+        return int(key)
+    # Other numbers than those of the starts, which are drawn with the key itself.
+    return int(jax.random.bits(jax.random.fold_in(key, _HELD_OUT), (), np.uint32))

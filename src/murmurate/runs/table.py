@@ -10,13 +10,11 @@ from typing import Any
 from rich.table import Table
 
 from murmurate.errors import RunError
-from murmurate.runs import experiment as configuration
-from murmurate.runs import storage
-from murmurate.runs.evaluate import EVALUATION, FRESH
+from murmurate.runs.folder import MANIFEST, RunFolder, describe_starts, is_fresh
 from murmurate.runs.paper import PaperExperiment
 from murmurate.runs.presets import paper_row
 
-__all__ = ["RESULTS", "Row", "as_markdown", "as_rich", "comparison", "gap", "paper_total", "read_evaluation", "results"]
+__all__ = ["RESULTS", "Row", "as_markdown", "as_rich", "comparison", "gap", "paper_total", "results"]
 
 NONE = "-"
 Row = Sequence[str]
@@ -27,6 +25,7 @@ RESULTS = (
     "seed",
     "valid",
     "contact-free",
+    "inside",
     "at rest",
     "base steps",
     "auxiliary steps",
@@ -45,20 +44,25 @@ def comparison(summary: Mapping[str, Any], row: PaperExperiment | None) -> tuple
     """Returns one evaluation beside the paper's Table IV.
 
     Args:
-        summary: The contents of evaluation.json.
-        row: The paper's experiment; None when it has none like this. From other starts it does not compare.
+        summary: What `RunFolder.evaluation` returns.
+        row: The paper's experiment; None when it has none like this. It is left out where the starts are not fresh.
 
     Returns:
         The header and the rows.
     """
-    row = row if summary["starts"] == FRESH else None
-    header = (f"{summary['episodes']} {summary['starts']} starts", "paper", "this run")
+    row = row if is_fresh(summary) else None
+    header = (f"{summary['episodes']} {describe_starts(summary)}", "paper", "this run")
     paper = (
         (f"{row.base_steps:.2f}", f"{row.auxiliary_steps:.2f}", paper_total(row)) if row is not None else (NONE,) * 3
     )
     steps = [f"{summary[name]:.2f}" for name in ("base_steps", "auxiliary_steps", "total_steps")]
     low, high = (math.nan if end is None else end for end in summary["valid_interval"])
     valid = f"{_count(summary, 'valid')} (95%: {100 * low:.1f}-{100 * high:.1f}%)"
+    episodes = summary["episodes"]
+    thresholds = [
+        (f"{name} reached", NONE, f"{round(fraction * episodes)} of {episodes}")
+        for name, fraction in summary.get("thresholds", {}).items()
+    ]
     return header, [
         ("base steps", paper[0], steps[0]),
         ("auxiliary steps", paper[1], steps[1]),
@@ -71,36 +75,40 @@ def comparison(summary: Mapping[str, Any], row: PaperExperiment | None) -> tuple
         ("gathered", NONE, _count(summary, "gathered")),
         ("mutually visible", NONE, _count(summary, "mutually_visible")),
         ("safe", NONE, _count(summary, "safe")),
+        *thresholds,
         ("valid pattern", NONE, valid),
         ("gap to the best-known pattern", NONE, gap(summary)),
     ]
 
 
-def results(folders: Iterable[str | Path]) -> list[Row]:
+def results(folders: Iterable[str | Path], trust: bool = False) -> list[Row]:
     """Returns a row for every finished run, under the header `RESULTS`.
+
+    Args:
+        folders: The run folders.
+        trust: Whether modules that the runs' configurations name may be imported.
 
     Raises:
         RunError: A folder is missing, unfinished, damaged or of an unknown version.
     """
-    return [_result(Path(folder)) for folder in folders]
+    return [_result(RunFolder(folder), trust) for folder in folders]
 
 
-def _result(folder: Path) -> Row:
-    manifest = storage.read_manifest(folder)
-    storage.verify(folder, manifest)
-    config, summary = configuration.load(folder), read_evaluation(folder)
-    row = paper_row(config) if summary["starts"] == FRESH else None
+def _result(folder: RunFolder, trust: bool) -> Row:
+    manifest = folder.verify()
+    config, summary = folder.experiment(trust), folder.evaluation()
+    row = paper_row(config) if is_fresh(summary) else None
     try:
-        policies = str(len(manifest["policies"]))
         training = f"{manifest['environment_steps'] / 1e6:.2f} M", f"{manifest['train_seconds']:.0f} s"
     except (KeyError, TypeError, ValueError) as error:
-        raise RunError(f"{folder / storage.MANIFEST} is incomplete: {error}") from None
+        raise RunError(f"{folder.path / MANIFEST} is incomplete: {error}") from None
     return (
         config.name,
         config.policy.name,
         str(config.seed),
         _count(summary, "valid"),
         _count(summary, "contact_free"),
+        _count(summary, "inside"),
         _count(summary, "at_rest"),
         f"{summary['base_steps']:.1f}",
         f"{summary['auxiliary_steps']:.1f}",
@@ -109,34 +117,14 @@ def _result(folder: Path) -> Row:
         f"{summary['bound_steps']:.1f}",
         _times(summary),
         gap(summary),
-        policies,
+        str(len(manifest["policies"])),
         *training,
     )
 
 
 def read_evaluation(folder: str | Path) -> dict[str, Any]:
-    """Reads evaluation.json.
-
-    Raises:
-        RunError: It is missing or incomplete.
-    """
-    path = Path(folder) / EVALUATION
-    summary = storage.read_json(path)
-    if isinstance(summary, dict) and "collision_free" in summary:
-        # Version 0.1.0 counted contact and leaving the world together.
-        summary = {**summary, "contact_free": summary["collision_free"], "inside": summary["collision_free"]}
-    needed = {"starts", "episodes", "valid", "valid_interval", "contact_free", "inside", "mutually_visible", "gathered", "safe"}
-    needed |= {"at_rest", "base_steps", "auxiliary_steps", "total_steps", "bound_steps"}
-    missing = needed - (summary.keys() if isinstance(summary, dict) else set())
-    if missing:
-        raise RunError(f"{path} lacks {min(missing)}: make it again with murmurate evaluate {folder}")
-    interval = summary["valid_interval"]
-    pair = interval if isinstance(interval, list) and len(interval) == 2 else [""]
-    numbers = [summary[name] for name in needed - {"starts", "valid_interval"}] + pair
-    if not all(value is None or isinstance(value, int | float) for value in numbers):
-        raise RunError(f"{path} holds what is no number: make it again with murmurate evaluate {folder}")
-    # What could not be computed, because a training went astray, is null.
-    return {name: float("nan") if value is None else value for name, value in summary.items()}
+    """Reads evaluation.json; use `RunFolder.evaluation`."""
+    return RunFolder(folder).evaluation()
 
 
 def paper_total(row: PaperExperiment) -> str:
@@ -148,10 +136,10 @@ def paper_total(row: PaperExperiment) -> str:
 
 def gap(summary: Mapping[str, Any]) -> str:
     """Writes by how much the mean objective is below that of the best-known pattern, in percent of it."""
-    short, known = summary.get("gap"), summary.get("best_known")
-    if not isinstance(short, float) or not isinstance(known, float) or math.isnan(short):
+    below, known = summary.get("gap"), summary.get("best_known")
+    if not isinstance(below, float) or not isinstance(known, float) or math.isnan(below):
         return NONE
-    return f"{100 * short / known:.2f}%"
+    return f"{100 * below / known:.2f}%"
 
 
 def _count(summary: Mapping[str, Any], name: str) -> str:
@@ -166,8 +154,8 @@ def _times(summary: Mapping[str, Any]) -> str:
 def as_rich(header: Row, rows: Iterable[Row]) -> Table:
     """Returns a table for the terminal; the first column is text, the others numbers."""
     table = Table()
-    for place, name in enumerate(header):
-        table.add_column(name, justify="right" if place else "left")
+    for index, name in enumerate(header):
+        table.add_column(name, justify="right" if index else "left")
     for row in rows:
         table.add_row(*row)
     return table

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-import platform
+import contextlib
+import functools
+import json
+import math
 import statistics
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -10,23 +13,17 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import jax
-
-from murmurate import __version__
-from murmurate.discovery import Search, advance_together, build_cascade, check_parts, policy_name
-from murmurate.runs import checkpoint, copies, storage, serialization
-from murmurate.runs import experiment as configuration
-from murmurate.runs.checkpoint import Checkpoint
+from murmurate import prng
+from murmurate.discovery import Search, advance_together, build_cascade, check_parts, policy_name, policy_templates
+from murmurate.errors import RunError
+from murmurate.learning import sharding
+from murmurate.runs import config_io, files
+from murmurate.runs.evaluate import EPISODES, Evaluation, evaluate
 from murmurate.runs.experiment import ExperimentConfig
-from murmurate.runs.evaluate import EPISODES, evaluate
-from murmurate.runs.run import METRICS, Run, policy_files
-from murmurate.learning import hosts
-from murmurate.world import FileStart
+from murmurate.runs.folder import Checkpoint, FolderState, RunFolder, describe_machine
+from murmurate.runs.run import Run
 
-__all__ = ["NOTHING_VALID", "VALID", "discover", "discover_together"]
-
-VALID = "valid patterns discovered"
-NOTHING_VALID = "no valid pattern was discovered"
+__all__ = ["discover", "discover_together"]
 
 
 def discover(
@@ -35,6 +32,7 @@ def discover(
     resume: bool = False,
     on_progress: Callable[..., None] | None = None,
     on_metrics: Callable[[Path], None] | None = None,
+    initial: Run | None = None,
 ) -> Run:
     """Runs Algorithm 2 and leaves everything it produced in a folder.
 
@@ -45,206 +43,331 @@ def discover(
         config: What to discover, and how.
         folder: The run folder, to be created.
         resume: Continue what the folder holds; a finished run is only opened.
-        on_progress: Called as `on_progress(work, done, total, **values)` whenever there is something new to tell.
+        on_progress: Called as `on_progress(work, done, total, **values)` before and after every chunk of updates.
         on_metrics: Called with the folder at the beginning, and whenever its metrics.jsonl has grown.
+        initial: A run whose policies the policies of this one begin with, as far as it has any.
 
     Returns:
-        The finished run; `manifest["outcome"]` says whether there was a valid pattern.
+        The finished run; `manifest["valid_pattern"]` says whether there was a valid pattern.
 
     Raises:
         InputError: The experiment is impossible; nothing has been written.
-        RunError: The folder holds another run, is damaged, or cannot be written to.
+        RunError: The folder holds another run, is damaged, in use, or cannot be written to; the policies of `initial`
+            do not fit; or the training diverged.
     """
-    return discover_together({Path(folder): config}, resume, on_progress, on_metrics)[0]
+    return discover_together({Path(folder): config}, resume, on_progress, on_metrics, initial)[0]
 
 
+@prng.reproducible()
 def discover_together(
     configs: Mapping[Path, ExperimentConfig],
     resume: bool = False,
     on_progress: Callable[..., None] | None = None,
     on_metrics: Callable[[Path], None] | None = None,
+    initial: Run | None = None,
 ) -> list[Run]:
     """Runs many searches side by side, those of the same shapes in one compiled program, each to its own folder.
 
     Meant for an accelerator, which one search does not keep busy; on a CPU it takes longer than one after the other.
 
-    On several hosts (`jax.distributed`) all call it alike and the first one's folder is the run's; see `copies`.
+    With several hosts (`murmurate.learning.sharding`) every process calls it with the same arguments. Process 0 alone
+    writes; to resume, the others read the folder too, so it must be on a file system that all of them share.
 
     Args:
         configs: What to discover, and how, by the run folder.
         resume: Continue what the folders hold.
-        on_progress: See `discover`; told of is the search that is furthest behind, with means over all.
+        on_progress: See `discover`; it is given the search that is furthest behind, with means over all.
         on_metrics: See `discover`; called for every folder.
+        initial: See `discover`; for all of them.
 
     Returns:
         The finished runs, in the order of the folders.
 
     Raises:
         InputError: An experiment is impossible; nothing has been written.
-        RunError: A folder holds another run, is damaged, or cannot be written to; or another host is gone.
+        RunError: See `discover`; or the hosts differ in what they were given.
     """
-    with hosts.guarded():
-        places = {copies.place(folder, resume): config for folder, config in configs.items()}
-        return _discover(places, resume, on_progress or (lambda *_, **__: None), on_metrics or (lambda folder: None))
-
-
-def _discover(
-    configs: Mapping[Path, ExperimentConfig],
-    resume: bool,
-    tell: Callable[..., None],
-    watch: Callable[[Path], None],
-) -> list[Run]:
-    for folder, config in configs.items():
-        if storage.look(folder, resume) != "new":
-            configuration.check_same(config, folder)
-    searches = {folder: Search(config) for folder, config in configs.items()}
+    on_progress, on_metrics = on_progress or (lambda *_, **__: None), on_metrics or (lambda _: None)
+    folders = {RunFolder(path): config for path, config in configs.items()}
+    command = repr([(str(path), config_io.to_dict(config), _origin(initial)) for path, config in configs.items()])
+    sharding.check_agreement("the experiment: give all of them the same command", command.encode())
+    # Everything that can be wrong is checked before anything is written.
+    states = _inspect(folders, resume, initial)
+    searches = {}
+    for folder, config in folders.items():
+        if states[folder] != "finished":
+            policies = _fit_initial(config, initial) if states[folder] == "new" else folder.initial(config)[0]
+            searches[folder] = Search(config, policies)
     for search in searches.values():
         check_parts(search.problem)
         search.check_devices()
-    works = []
-    for folder, search in searches.items():
-        if storage.claim(folder, resume) == "finished":
-            checkpoint.remove(folder)
-            watch(folder)
-            continue
-        configuration.save(configs[folder], folder)
-        point = checkpoint.load(folder, search)
-        storage.truncate_lines(folder / METRICS, point.rows)
-        works.append(_Work(configs[folder], folder, search, point))
-        watch(folder)
-    ran = {work.folder: _finish(work, tell) for work in _train(works, tell, watch)}
-    return [ran.get(folder) or Run.open(folder) for folder in configs]
+    with contextlib.ExitStack() as locks:
+        trainings = []
+        for folder, search in searches.items():
+            prepare = functools.partial(_prepare, folder, states[folder], search, folders[folder], initial)
+            locks.enter_context(sharding.run_on_first(prepare) or contextlib.nullcontext())
+            # From here on every process reads the folder, which process 0 has prepared.
+            checkpoint = folder.checkpoint(search)
+            sharding.check_agreement(
+                f"the checkpoint in {folder.path}: to resume, put it on a file system that all of them share",
+                repr((checkpoint.rows, checkpoint.seconds)).encode(),
+            )
+            trainings.append(_Training(folders[folder], folder, search, checkpoint))
+        for folder in folders:
+            on_metrics(folder.path)
+        trained = _train(trainings, on_progress, on_metrics)
+        finished = {training.folder: _finish(training, on_progress) for training in trained}
+    return [finished.get(folder) or _open(folder, config) for folder, config in folders.items()]
 
 
 @dataclass(frozen=True, eq=False)
-class _Work:
+class _Training:
     """A search under way.
 
     Attributes:
         config: What is to be discovered, and how.
         folder: Its run folder.
         search: The search.
-        point: How far it has come.
+        checkpoint: Its progress.
     """
 
     config: ExperimentConfig
-    folder: Path
+    folder: RunFolder
     search: Search
-    point: Checkpoint
+    checkpoint: Checkpoint
 
     @property
-    def place(self) -> tuple[int, int]:
-        """How far it has come, to compare: policies, and updates of the one in training."""
-        snapshot = self.point.snapshot
+    def progress(self) -> tuple[int, int]:
+        """Its progress, to compare: finished policies, and updates of the one in training."""
+        snapshot = self.checkpoint.snapshot
         return len(snapshot.policies), 0 if snapshot.train is None else int(snapshot.train.update)
 
+    def environment_steps(self, policies: int) -> int:
+        """Returns the steps that training the first policies of the list took; evaluations are not training."""
+        curriculum, problem = self.search.curriculum, self.search.problem
+        return sum(curriculum.steps(index, problem.stage(index).ppo.updates) for index in range(policies))
 
-def _train(works: Sequence[_Work], tell: Callable[..., None], watch: Callable[[Path], None]) -> list[_Work]:
-    """Goes on from checkpoints until every list of policies is complete."""
-    works = list(works)
-    running = [place for place, work in enumerate(works) if not work.point.snapshot.finished]
+
+# Before the training: what the folders hold, and what the training begins with
+
+
+def _inspect(
+    folders: Mapping[RunFolder, ExperimentConfig], resume: bool, initial: Run | None
+) -> dict[RunFolder, FolderState]:
+    """Returns what the folders hold on process 0, after checking that they are of these experiments."""
+
+    def inspect() -> list[FolderState]:
+        states = []
+        for folder, config in folders.items():
+            state = folder.inspect(resume)
+            if state != "new":
+                folder.check_same(config)
+                origin = folder.manifest().get("initial") if state == "finished" else folder.initial(config)[1]
+                # To resume, the run that the training began with need not be there any more.
+                if initial is not None and origin != _origin(initial):
+                    raise RunError(f"{folder.path} did not begin with the policies of {initial.folder}")
+            states.append(state)
+        return states
+
+    states = sharding.run_on_first(inspect)
+    return dict(zip(folders, json.loads(sharding.broadcast_bytes(json.dumps(states).encode())), strict=True))
+
+
+def _origin(initial: Run | None) -> dict[str, Any] | None:
+    """Returns what a run records about the run that its training began with."""
+    if initial is None:
+        return None
+    sums = {name: value for name, value in initial.manifest["checksums"].items() if name.startswith("policies/")}
+    return {"experiment": initial.experiment.name, "seed": initial.experiment.seed, "checksums": sums}
+
+
+def _fit_initial(config: ExperimentConfig, initial: Run | None) -> tuple[Any, ...]:
+    """Returns the policies to begin with, for the world of this experiment.
+
+    Raises:
+        RunError: They are of other shapes than this experiment's.
+    """
+    policies = () if initial is None else initial.cascade.policies[: config.discovery.max_policies]
+    templates = policy_templates(config, len(policies))
+    return tuple(
+        files.fit_tree(policy, template, f"the {policy_name(index)} policy to begin with")
+        for index, (policy, template) in enumerate(zip(policies, templates, strict=True))
+    )
+
+
+def _prepare(
+    folder: RunFolder, state: FolderState, search: Search, config: ExperimentConfig, initial: Run | None
+) -> contextlib.AbstractContextManager[Any]:
+    """Creates a run folder, or brings an interrupted one back to its last checkpoint.
+
+    Returns:
+        The lock that keeps other processes from training in it.
+    """
+    with contextlib.ExitStack() as stack:
+        folder.create(resume=state != "new")
+        stack.enter_context(folder.lock())
+        if folder.inspect(resume=True) != state:
+            raise RunError(f"{folder.path} has been changed by another process: give the command again")
+        if state == "new":
+            folder.remove_checkpoint()
+            if initial is not None:
+                folder.write_initial(search.initial, _origin(initial))
+        folder.write_experiment(config)
+        folder.truncate_metrics(folder.checkpoint_rows())
+        return stack.pop_all()
+
+
+def _open(folder: RunFolder, config: ExperimentConfig) -> Run:
+    """Opens a run that was finished before; its modules are those of the configuration, imported already."""
+    manifest = folder.verify()
+    folder.remove_checkpoint()
+    policies = folder.policies(policy_templates(config, len(manifest["policies"])))
+    return Run(folder.path, config, build_cascade(config, policies), manifest)
+
+
+# The training
+
+
+def _train(
+    trainings: Sequence[_Training], on_progress: Callable[..., None], on_metrics: Callable[[Path], None]
+) -> list[_Training]:
+    """Trains from checkpoints until every list of policies is complete."""
+    trainings = list(trainings)
+    running = [index for index, training in enumerate(trainings) if not training.checkpoint.snapshot.finished]
     if running:
-        _tell([works[place] for place in running], tell, note="compiling")
+        _report([trainings[index] for index in running], on_progress, note="compiling")
     while running:
-        before = [works[place] for place in running]
+        before = [trainings[index] for index in running]
         after, rows = _advance(before)
-        for place, work in zip(running, after, strict=True):
-            works[place] = work
-            watch(work.folder)
-        _tell(before, tell, rows, after)
-        running = [place for place in running if not works[place].point.snapshot.finished]
-    return works
+        for index, training in zip(running, after, strict=True):
+            trainings[index] = training
+            on_metrics(training.folder.path)
+        _report(before, on_progress, rows, after)
+        running = [index for index in running if not trainings[index].checkpoint.snapshot.finished]
+    return trainings
 
 
-def _advance(works: Sequence[_Work]) -> tuple[list[_Work], list[dict[str, Any]]]:
-    """Runs one chunk of updates of each and keeps what came of it; returns the last row of metrics of each as well."""
+def _advance(trainings: Sequence[_Training]) -> tuple[list[_Training], list[dict[str, Any]]]:
+    """Runs one chunk of updates of each and writes what came of it.
+
+    Returns:
+        The trainings after it, and the last row of metrics of each.
+
+    Raises:
+        RunError: One diverged. Nothing of this chunk is written: the checkpoint before it stays.
+    """
     begun = time.perf_counter()
-    advanced = advance_together([work.search for work in works], [work.point.snapshot for work in works])
+    advanced = advance_together([t.search for t in trainings], [t.checkpoint.snapshot for t in trainings])
     took = time.perf_counter() - begun
-    after, last = [], []
-    for work, (snapshot, rows) in zip(works, advanced, strict=True):
-        point, index = work.point, len(work.point.snapshot.policies)
-        trained = _environment_steps(work.search, index)
-        steps = rows[-1]["policy_steps"] - work.search.curriculum.steps(index, rows[0]["update"] - 1)
+    for training, (_, rows) in zip(trainings, advanced, strict=True):
+        _check_finite(training, rows)
+    after, last_rows = [], []
+    for training, (snapshot, rows) in zip(trainings, advanced, strict=True):
+        checkpoint, index = training.checkpoint, len(training.checkpoint.snapshot.policies)
+        steps = rows[-1]["policy_steps"] - training.search.curriculum.steps(index, rows[0]["update"] - 1)
         # Of the time that all took together, each is charged an equal part.
-        share = took / len(works)
-        done = [
+        share = took / len(trainings)
+        signals = training.search.problem.objective_signals
+        recorded = [
             {
-                "environment_steps": trained + row.pop("policy_steps"),
+                "environment_steps": training.environment_steps(index) + row.pop("policy_steps"),
                 **row,
-                "objective": sum(row["signals"].values()),
+                "objective": sum(signals[name].weight * value for name, value in row["signals"].items()),
                 "steps_per_second": steps / share,
-                "seconds": point.seconds + share * (place + 1) / len(rows),
+                "seconds": checkpoint.seconds + share * number / len(rows),
             }
-            for place, row in enumerate(rows)
+            for number, row in enumerate(rows, 1)
         ]
-        point = replace(point, snapshot=snapshot, rows=point.rows + len(rows), seconds=point.seconds + share)
-        # Rows first: those beyond the checkpoint are cut off on resuming, but missing ones could not be made up.
-        storage.append_lines(work.folder / METRICS, done)
-        checkpoint.save(work.folder, point)
-        after.append(replace(work, point=point))
-        last.append(done[-1])
-    return after, last
+        seconds = checkpoint.seconds + share
+        checkpoint = Checkpoint(snapshot, rows=checkpoint.rows + len(rows), seconds=seconds)
+        sharding.run_on_first(functools.partial(_write_chunk, training.folder, recorded, checkpoint))
+        after.append(replace(training, checkpoint=checkpoint))
+        last_rows.append(recorded[-1])
+    return after, last_rows
 
 
-def _environment_steps(search: Search, policies: int) -> int:
-    """Counts the steps that training the first policies of the list took; evaluations are not training."""
-    return sum(search.curriculum.steps(index, search.problem.stage(index).ppo.updates) for index in range(policies))
+def _check_finite(training: _Training, rows: Sequence[dict[str, Any]]) -> None:
+    """Removes the flag `finite` from rows of metrics, and checks it."""
+    for row in rows:
+        # A signal may be NaN in a step whose losses are finite; the reward is not, then.
+        if not row.pop("finite") or not math.isfinite(row["reward"]):
+            raise RunError(
+                f"{training.folder.path}: the training of the {_policy_title(row['policy'])} diverged at update "
+                f"{row['update']}: the reward, a loss or a parameter is NaN or infinite; the checkpoint before it is "
+                "kept; try smaller learning rates"
+            )
 
 
-def _tell(
-    works: Sequence[_Work],
-    tell: Callable[..., None],
+def _write_chunk(folder: RunFolder, rows: Sequence[Mapping[str, Any]], checkpoint: Checkpoint) -> None:
+    # Rows first: those beyond the checkpoint are cut off on resuming, but missing ones could not be made up.
+    folder.append_metrics(rows)
+    folder.write_checkpoint(checkpoint)
+
+
+def _report(
+    before: Sequence[_Training],
+    on_progress: Callable[..., None],
     rows: Sequence[Mapping[str, Any]] = (),
-    after: Sequence[_Work] = (),
+    after: Sequence[_Training] = (),
     **values: Any,
 ) -> None:
-    """Tells of the work that is furthest behind, by what it was before a chunk, and of the means over all of them."""
-    behind = min(range(len(works)), key=lambda place: works[place].place)
-    index, done = works[behind].place
+    """Reports the training that is furthest behind, as it was before a chunk, with means over all of them."""
+    behind = min(range(len(before)), key=lambda index: before[index].progress)
+    policy, done = before[behind].progress
     if rows:
         done = rows[behind]["update"]
         values["steps_per_second"] = statistics.fmean(row["steps_per_second"] for row in rows)
         values["reward"] = statistics.fmean(row["reward"] for row in rows)
-        values["visible"] = statistics.fmean(row["signals"]["visible"] for row in rows)
-    if after and after[behind].point.snapshot.train is None:
-        values["valid"] = statistics.fmean(work.point.snapshot.valid for work in after)
-    name = f"{policy_name(index)} policy{f' {index}' if index > 1 else ''}"
-    work = f"{name} of {len(works)} runs" if len(works) > 1 else name
-    tell(work, done, works[behind].search.problem.stage(index).ppo.updates, **values)
+        visible = [row["signals"]["visible"] for row in rows if "visible" in row["signals"]]
+        values |= {"visible": statistics.fmean(visible)} if visible else {}
+    if after and after[behind].checkpoint.snapshot.train is None:
+        values["valid"] = statistics.fmean(training.checkpoint.snapshot.valid for training in after)
+    work = _policy_title(policy) + (f" of {len(before)} runs" if len(before) > 1 else "")
+    on_progress(work, done, before[behind].search.problem.stage(policy).ppo.updates, **values)
 
 
-def _finish(work: _Work, tell: Callable[..., None]) -> Run:
-    """Writes policies, evaluation and, last of all, the manifest: from then on the run is finished."""
-    search, config, folder, point = work.search, work.config, work.folder, work.point
-    snapshot = point.snapshot
-    tell("evaluation", 0, EPISODES, note=f"{EPISODES} fresh starts")
-    files = policy_files(len(snapshot.policies))
-    storage.make_folder(folder / "policies")
-    for file, policy in zip(files, snapshot.policies, strict=True):
-        serialization.save(folder / file, policy)
-    run = Run(folder, config, build_cascade(config, snapshot.policies), {})
+def _policy_title(index: int) -> str:
+    return f"{policy_name(index)} policy{f' {index}' if index > 1 else ''}"
+
+
+# After the training
+
+
+def _finish(training: _Training, on_progress: Callable[..., None]) -> Run:
+    """Evaluates on every process, and writes on process 0."""
+    on_progress("evaluation", 0, EPISODES, note=f"{EPISODES} fresh starts")
+    cascade = build_cascade(training.config, training.checkpoint.snapshot.policies)
+    run = Run(training.folder.path, training.config, cascade, {})
     evaluation = evaluate(run)
+    manifest = sharding.run_on_first(functools.partial(_write_results, training, evaluation))
+    on_progress("evaluation", EPISODES, EPISODES, valid=float(evaluation.validity.valid.mean()))
+    return replace(run, manifest=manifest or {})
+
+
+def _write_results(training: _Training, evaluation: Evaluation) -> dict[str, Any]:
+    """Writes policies, evaluation and, last of all, the manifest: from then on the run is finished."""
+    config, folder, snapshot = training.config, training.folder, training.checkpoint.snapshot
+    folder.write_policies(snapshot.policies)
     evaluation.save(folder)
-    tell("evaluation", EPISODES, EPISODES, valid=float(evaluation.validity.valid.mean()))
-    kept = [storage.EXPERIMENT, *([configuration.STARTS] if isinstance(config.start, FileStart) else []), *files]
-    discovered = len(snapshot.sigma) > 0 and bool(evaluation.validity.valid.any())
-    manifest = {
-        "format": storage.FORMAT,
-        "murmurate": __version__,
-        "versions": storage.versions(),
-        "platform": platform.platform(),
-        "device": jax.devices()[0].device_kind,
-        "devices": jax.device_count(),
-        "seed": config.seed,
-        "experiment": config.name,
-        "robots": config.world.robots,
-        "outcome": VALID if discovered else NOTHING_VALID,
-        "policies": [policy_name(index) for index in range(len(files))],
-        "environment_steps": _environment_steps(search, len(files)),
-        "train_seconds": round(point.seconds, 3),
-        "checksums": storage.checksums(folder, kept),
-    }
-    storage.write_json(folder / storage.MANIFEST, manifest)
-    checkpoint.remove(folder)
-    return replace(run, manifest=manifest)
+    origin = folder.initial(config)[1]
+    manifest = folder.write_manifest(
+        {
+            **describe_machine(),
+            "seed": config.seed,
+            "experiment": config.name,
+            "robots": config.world.robots,
+            **({} if origin is None else {"initial": origin}),
+            # Without sigma no later policy could be trained: every episode ended in contact or outside the world.
+            "valid_pattern": len(snapshot.sigma) > 0 and bool(evaluation.validity.valid.any()),
+            "environment_steps": training.environment_steps(len(snapshot.policies)),
+            "train_seconds": round(training.checkpoint.seconds, 3),
+        },
+        policies=len(snapshot.policies),
+    )
+    folder.remove_checkpoint()
+    return manifest
+
+
+# Old names, for modules that are not ported yet
+VALID = "valid patterns discovered"
+NOTHING_VALID = "no valid pattern was discovered"

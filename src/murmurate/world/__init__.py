@@ -13,7 +13,6 @@ from murmurate.world.env import (
     Wrapper,
     with_array_leaves,
 )
-from murmurate.world.randomness import new_key
 from murmurate.world.scheduling import (
     Activation,
     AsyncScheduler,
@@ -83,7 +82,6 @@ __all__ = [
     "check_configurations",
     "check_start",
     "draw_starts",
-    "new_key",
     "objective_signals",
     "read_starts",
     "redraw_overlaps",

@@ -1,6 +1,6 @@
 """Randomness that an episode carries along: one key each, kept as plain numbers with the batch last.
 
-The generator is named explicitly, so that a seed means the same numbers whatever JAX's default is.
+The generator is that of `murmurate.prng`, so that a seed means the same numbers whatever JAX's flags are.
 """
 
 from __future__ import annotations
@@ -12,19 +12,14 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray, UInt32
 
-__all__ = ["draw_each", "episode_keys", "key_data", "new_key", "next_keys", "wrap_keys"]
+from murmurate import prng
 
-GENERATOR = "threefry2x32"
-
-
-def new_key(seed: Any) -> PRNGKeyArray:
-    """Returns the key of a seed."""
-    return jax.random.key(seed, impl=GENERATOR)
+__all__ = ["draw_each", "episode_keys", "key_data", "next_keys", "wrap_keys"]
 
 
 def episode_keys(seed: Any, positions: Float[Array, "robots 2 *batch"]) -> PRNGKeyArray:
     """Returns a key for the episode that begins at a configuration, or for each of a batch."""
-    key = new_key(seed)
+    key = prng.key(seed)
     return jax.random.split(key, positions.shape[2:]) if positions.ndim > 2 else key
 
 
@@ -52,4 +47,4 @@ def key_data(keys: PRNGKeyArray) -> UInt32[Array, "two *batch"]:
 
 def wrap_keys(numbers: UInt32[Array, "two *batch"]) -> PRNGKeyArray:
     """Returns the keys that have these numbers."""
-    return jax.random.wrap_key_data(jnp.moveaxis(numbers, 0, -1), impl=GENERATOR)
+    return prng.wrap(jnp.moveaxis(numbers, 0, -1))

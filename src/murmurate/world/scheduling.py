@@ -18,6 +18,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
+from murmurate import prng
 from murmurate.errors import GREATEST, check_number
 from murmurate.registry import Strategy
 
@@ -147,7 +148,7 @@ class SsyncScheduler(Scheduler):
         robots = clock.idle.shape[0]
         active_key, single_key, _, _, _, completion_key = jax.random.split(key, 6)
         single = jnp.arange(robots) == jax.random.randint(single_key, (), 0, robots, jnp.int32)
-        drawn = jax.random.bernoulli(active_key, self.activation_probability, (robots,))
+        drawn = prng.bernoulli(active_key, self.activation_probability, (robots,))
         zero = jnp.zeros(robots, jnp.int32)
         active = jnp.where(jnp.any(drawn), drawn, single)
         return Activation(active, zero, zero, zero + 1, self.completion(completion_key, robots))

@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
+from murmurate import prng
 from murmurate.errors import InputError, check_number
 from murmurate.registry import Strategy
 from murmurate.types import View
@@ -107,7 +108,7 @@ class Sensing(Strategy):
             turn, flip, size = jax.random.split(key, 3)
             return (
                 jax.random.uniform(turn, (robots,), dtype, 0.0, 2 * jnp.pi),
-                jax.random.rademacher(flip, (robots,), dtype),
+                prng.signs(flip, (robots,)).astype(dtype),
                 jax.random.uniform(size, (robots,), dtype, -1.0, 1.0),
             )
 
@@ -154,7 +155,7 @@ class Sensing(Strategy):
 
         def draw(key: PRNGKeyArray) -> tuple[Array, Array, Array]:
             miss, bearing, distance = jax.random.split(key, 3)
-            missed = jax.random.bernoulli(miss, self.miss_probability, shape)
+            missed = prng.bernoulli(miss, self.miss_probability, shape)
             return missed, jax.random.normal(bearing, shape, dx.dtype), jax.random.normal(distance, shape, dx.dtype)
 
         missed, bearing, distance = draw_each(draw, keys)

@@ -22,12 +22,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from murmurate import prng
 from murmurate.errors import MOST, InputError, check_choice, check_number
 from murmurate.geometry import clearances
 from murmurate.geometry.visibility import fold
 from murmurate.registry import Strategy
 from murmurate.world.config import WorldConfig
-from murmurate.world.randomness import new_key
 
 __all__ = [
     "DistributedStart",
@@ -417,6 +417,7 @@ def _touch_earlier(positions: Float[Array, "robots 2 batch"], radius: Any) -> An
     return fold(operator.or_, (clearances(positions, radius) <= 0) & earlier, axis=1)
 
 
+@prng.reproducible()
 def draw_starts(
     start: Start, key: PRNGKeyArray, count: int, world: WorldConfig
 ) -> Float[np.ndarray, "starts robots 2"]:
@@ -440,7 +441,7 @@ def check_start(start: Start, world: WorldConfig) -> Start:
         InputError: The start returns another shape or type, or numbers that are not finite, or its robots do not fit.
     """
     prepared = start.prepare(world)
-    key = new_key(0)
+    key = prng.key(0)
     try:
         found = eqx.filter_eval_shape(prepared.sample, key, TRIALS, world)
     except InputError:

@@ -9,16 +9,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from murmurate.geometry import closest_approach, collides
-from murmurate.policies import Sizes
 from murmurate.policies.baselines.avoidance import KEEP, avoiding
 from murmurate.policies.baselines.sight import everyone
+from murmurate.world import WorldConfig
 
-SIZES = Sizes(6, 45.0, 45.0, 1.0, 5.0, 1.0, False)
+WORLD = WorldConfig(robots=6)
 
 
 @jax.jit
 def avoided(positions, wanted):
-    return avoiding(wanted[:, 0], wanted[:, 1], everyone(positions), SIZES)
+    return avoiding(wanted[:, 0], wanted[:, 1], everyone(positions), WORLD)
 
 
 def apart(seed, robots, spread, batch=64):
@@ -36,7 +36,7 @@ def test_two_robots_that_see_each_other_never_collide(seed, speed):
     # Half of them head for each other.
     wanted[..., ::2] = speed * (positions[::-1] - positions)[..., ::2]
     found = np.asarray(avoided(positions, wanted.astype(np.float32)), float)
-    assert not collides(positions.astype(float), found, SIZES.radius).any()
+    assert not collides(positions.astype(float), found, WORLD.radius).any()
 
 
 @settings(deadline=None, max_examples=20)
@@ -45,8 +45,8 @@ def test_a_crowd_does_not_collide_either(seed):
     positions = apart(seed, 4, 5.0)
     wanted = -3 * positions
     found = np.asarray(avoided(positions, wanted), float)
-    assert (np.linalg.norm(found, axis=1) <= SIZES.max_speed).all()
-    assert not collides(positions.astype(float), found, SIZES.radius).any()
+    assert (np.linalg.norm(found, axis=1) <= WORLD.max_speed).all()
+    assert not collides(positions.astype(float), found, WORLD.radius).any()
 
 
 def test_somebody_in_the_shadow_of_another_is_reckoned_with():
@@ -57,9 +57,9 @@ def test_somebody_in_the_shadow_of_another_is_reckoned_with():
     mask[0, 2] = mask[2, 0] = False
     hidden = seen._replace(seen=seen.seen & mask, x=seen.x * mask, y=seen.y * mask)
     towards = positions[[2, 1, 0]] - positions
-    found = np.asarray(avoiding(towards[:, 0], towards[:, 1], hidden, SIZES), float)
+    found = np.asarray(avoiding(towards[:, 0], towards[:, 1], hidden, WORLD), float)
     assert np.abs(found).max() > 0
-    assert not collides(positions.astype(float), found, SIZES.radius).any()
+    assert not collides(positions.astype(float), found, WORLD.radius).any()
 
 
 def test_wanted_velocities_that_are_free_are_kept():
@@ -73,7 +73,7 @@ def test_pairs_come_to_the_safe_distance_and_no_nearer():
     inwards = np.array([[1.0, 0.0], [-1.0, 0.0]], np.float32)[..., None]
     for _ in range(10):
         positions = positions + np.asarray(avoided(positions, inwards))
-    np.testing.assert_allclose(positions[1, 0] - positions[0, 0], KEEP * SIZES.safe_distance, atol=1e-3)
+    np.testing.assert_allclose(positions[1, 0] - positions[0, 0], KEEP * WORLD.safe_distance, atol=1e-3)
     crowded = np.array([[0.0, 0.0], [3.0, 0.0]], np.float32)[..., None]
     apart = closest_approach(crowded, np.asarray(avoided(crowded, 0 * crowded)))[0, 1]
     assert apart == 3.0

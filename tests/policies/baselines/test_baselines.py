@@ -8,9 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from murmurate.policies import Sizes
 from murmurate.policies.baselines import BASELINES
-from murmurate.world import Observation, SensingConfig, draw_frames, perceive
+from murmurate.world import Observation, Sensing, WorldConfig
 
 R, SCAN, SPEED = 1.0, 120.0, 1.0
 STEADY = ["centroid", "circle", "gradient", "two-color"]
@@ -18,7 +17,7 @@ LOCAL = ["random", *STEADY]
 
 
 def make(name, landmark=False, robots=6):
-    return BASELINES[name](Sizes(robots, 45.0, 45.0, R, 5.0, SPEED, landmark))
+    return BASELINES[name](WorldConfig(robots=robots), landmark)
 
 
 def configuration(seed=0, robots=6):
@@ -29,13 +28,13 @@ def configuration(seed=0, robots=6):
 
 @eqx.filter_jit
 def look(config, positions, keys):
-    frames = draw_frames(config, keys, len(positions))
-    view = perceive(config, positions, frames, keys, R, SCAN, 45.0, 45.0)
+    frames = config.draw_frames(keys, len(positions))
+    view = config.view(positions, frames, keys, WorldConfig(robots=len(positions), radius=R, scan_radius=SCAN))
     return frames, Observation(view, positions, jnp.full_like(positions[:, 0], jnp.inf))
 
 
-def observed(positions, seed=0, **sensing):
-    config = SensingConfig(**sensing)
+def observed(positions, seed=0, use="global", **fields):
+    config = Sensing.registered()[use](**fields)
     keys = jax.random.key(seed)
     keys = jax.random.split(keys, positions.shape[2]) if positions.ndim == 3 else keys
     return look(config, positions, keys)
@@ -49,15 +48,15 @@ def acted(policy, observation):
 def velocities(policy, positions, seed=0, **sensing):
     """Returns what the robots do, in the world's frame."""
     frames, observation = observed(positions, seed, **sensing)
-    return np.asarray(frames.outward(acted(policy, observation)))
+    return np.asarray(frames.to_world(acted(policy, observation)))
 
 
 @pytest.mark.parametrize("name", STEADY)
 def test_no_frame_changes_where_a_robot_goes(name):
     policy = make(name, landmark=True)
-    plain = velocities(policy, configuration(), kind="visible")
+    plain = velocities(policy, configuration(), use="visible")
     assert np.abs(plain).max() > 0.1
-    turned = velocities(policy, configuration(), 1, kind="visible", rotation=True, reflection=True, unit=5.0)
+    turned = velocities(policy, configuration(), 1, use="visible", rotation=True, reflection=True, unit_ratio=5.0)
     np.testing.assert_allclose(turned, plain, atol=2e-3)
 
 
@@ -65,8 +64,8 @@ def test_no_frame_changes_where_a_robot_goes(name):
 def test_turning_the_swarm_turns_its_velocities(name):
     policy = make(name)
     turn = jnp.asarray([[np.cos(1.0), -np.sin(1.0)], [np.sin(1.0), np.cos(1.0)]], jnp.float32)
-    plain = velocities(policy, configuration(), kind="visible", rotation=True)
-    turned = velocities(policy, configuration() @ turn.T, 3, kind="visible", rotation=True)
+    plain = velocities(policy, configuration(), use="visible", rotation=True)
+    turned = velocities(policy, configuration() @ turn.T, 3, use="visible", rotation=True)
     np.testing.assert_allclose(turned, plain @ np.asarray(turn).T, atol=2e-3)
 
 
@@ -74,8 +73,8 @@ def test_turning_the_swarm_turns_its_velocities(name):
 def test_robots_have_no_number(name):
     policy = make(name)
     order = np.random.default_rng(1).permutation(6)
-    plain = velocities(policy, configuration(), kind="visible")
-    permuted = velocities(policy, configuration()[order], kind="visible")
+    plain = velocities(policy, configuration(), use="visible")
+    permuted = velocities(policy, configuration()[order], use="visible")
     np.testing.assert_allclose(permuted, plain[order], atol=2e-3)
 
 
@@ -85,9 +84,9 @@ def test_what_is_hidden_does_not_move_a_robot(name):
     policy = make(name)
     here = configuration().at[:3].set(jnp.asarray([[0.0, -20.0], [0.0, -15.0], [0.0, -8.0]]))
     there = here.at[2].set(jnp.asarray([0.3, -6.5]))
-    _, observation = observed(here, kind="visible")
+    _, observation = observed(here, use="visible")
     assert not bool(observation.view.seen[0, 2])
-    first, second = (velocities(policy, p, kind="visible")[0] for p in (here, there))
+    first, second = (velocities(policy, p, use="visible")[0] for p in (here, there))
     np.testing.assert_array_equal(first, second)
 
 
@@ -98,7 +97,7 @@ def test_who_perceives_a_wall_does_not_cross_it(name):
     crowds = jnp.stack([0.3 * configuration(seed) for seed in range(20)], axis=-1)
     crowds = crowds + 45.0 - crowds.max(axis=0)
     over, kept = (
-        velocities(policy, crowds, kind="global", rotation=True, reflection=True, walls=walls) + np.asarray(crowds)
+        velocities(policy, crowds, use="global", rotation=True, reflection=True, walls=walls) + np.asarray(crowds)
         for walls in (False, True)
     )
     assert over.max() > 45.0 or name == "centroid"
@@ -108,7 +107,7 @@ def test_who_perceives_a_wall_does_not_cross_it(name):
 @pytest.mark.parametrize("name", BASELINES)
 def test_only_the_centralised_one_looks_at_positions(name):
     policy = make(name)
-    _, observation = observed(configuration(), kind="visible")
+    _, observation = observed(configuration(), use="visible")
     elsewhere = eqx.tree_at(lambda o: o.positions, observation, observation.positions[::-1] * 0.7 + 3.0)
     same = np.array_equal(acted(policy, elsewhere), acted(policy, observation))
     assert same != policy.centralised
@@ -125,9 +124,9 @@ def test_speed_is_limited_and_nothing_is_undefined(name, landmark):
     lonely = jnp.zeros((6, 2)).at[2:, 0].set(1000.0 * jnp.arange(1, 5))
     crowd = 0.25 * configuration(1)
     batch = jnp.stack([configuration(), crowd, line, jnp.zeros((6, 2)), lonely], axis=-1)
-    found = velocities(policy, batch, kind="visible", rotation=True)
+    found = velocities(policy, batch, use="visible", rotation=True)
     assert found.shape == batch.shape
     assert np.isfinite(found).all()
     assert (np.linalg.norm(found, axis=1) <= SPEED).all()
-    again = velocities(policy, batch, kind="visible", rotation=True)
+    again = velocities(policy, batch, use="visible", rotation=True)
     np.testing.assert_array_equal(found, again)

@@ -10,27 +10,33 @@ import pytest
 
 from murmurate.analysis.optimum.bounds import ring
 from murmurate.discovery import Cascade, RestRule, check_validity
-from murmurate.policies import Sizes
 from murmurate.policies.baselines import BASELINES
 from murmurate.policies.baselines.circle import enclosing, least_ring
-from murmurate.world import LocalObservation, SensingConfig, StartConfig, World, WorldConfig, draw_starts, make_start
+from murmurate.world import (
+    GlobalSensing,
+    LocalObservation,
+    UniformStart,
+    VisibleSensing,
+    World,
+    WorldConfig,
+    draw_starts,
+)
 
 CONFIG = WorldConfig(robots=6, half_width=35.0, half_height=35.0, scan_radius=105.0)
-SIZES = Sizes(6, 35.0, 35.0, CONFIG.radius, CONFIG.safe_distance, CONFIG.max_speed, False)
 
 
 @functools.cache
 def anywhere():
-    world = World.create(CONFIG, make_start(StartConfig(kind="random"), CONFIG), "C2")
-    return world, draw_starts(world.start, jax.random.key(5), 32)
+    world = World.create(CONFIG, UniformStart(), "C2")
+    return world, draw_starts(world.start, jax.random.key(5), 32, CONFIG)
 
 
 @functools.cache
 def ran(name, count=16, steps=200):
     world, starts = anywhere()
-    policy = BASELINES[name](SIZES)
-    sensing = SensingConfig() if policy.centralised else SensingConfig(kind="visible", rotation=True)
-    trajectories = Cascade((policy,), LocalObservation(world, world, sensing), RestRule(max_steps=steps)).rollout(
+    policy = BASELINES[name](CONFIG, False)
+    sensing = GlobalSensing() if policy.centralised else VisibleSensing(rotation=True)
+    trajectories = Cascade((policy,), LocalObservation(world, sensing, CONFIG), RestRule(max_steps=steps)).rollout(
         starts[:count]
     )
     return trajectories, check_validity(trajectories, CONFIG)
@@ -48,7 +54,7 @@ def test_a_walk_at_random_goes_nowhere_in_particular():
 def test_the_centroid_gathers_without_collision():
     trajectories, validity = ran("centroid", 32)
     gathered = trajectories.signals["nclose"]
-    assert validity.collision_free.all()
+    assert validity.contact_free.all()
     assert validity.safe.all()
     assert (gathered[:, -1] > gathered[:, 0]).all()
     assert gathered[:, -1].mean() > 0.9
@@ -85,7 +91,7 @@ def inside(points):
 def test_two_colours_leave_nobody_inside():
     trajectories, validity = ran("two-color")
     first = sum(inside(positions[0]) for positions in trajectories.positions)
-    last = sum(inside(final) for final in trajectories.final[validity.collision_free])
+    last = sum(inside(final) for final in trajectories.final[validity.contact_free])
     assert first > 10
     assert last == 0
 
@@ -93,7 +99,7 @@ def test_two_colours_leave_nobody_inside():
 @pytest.mark.parametrize("robots", [2, 3, 5, 8, 12, 40])
 def test_the_least_ring_is_that_of_the_patterns(robots):
     expected = ring(robots, CONFIG.radius, CONFIG.safe_distance)
-    np.testing.assert_allclose(least_ring(robots, SIZES), expected.radius, rtol=1e-5)
+    np.testing.assert_allclose(least_ring(robots, CONFIG), expected.radius, rtol=1e-5)
 
 
 def test_the_enclosing_circle_is_the_smallest():

@@ -1,0 +1,296 @@
+"""Algorithm 2 with budgets so small that nothing is learned: what it does, not how well."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from handmade import Implode
+
+from murmurate.discovery import DiscoveryConfig, Problem, RestRule, Search, StageConfig, policy_name, search
+from murmurate.discovery.stage import draw_key, training_world
+from murmurate.errors import InputError
+from murmurate.geometry import clearances, neighbors
+from murmurate.learning import PPOConfig, ppo
+from murmurate.policies import CentralPolicy
+from murmurate.world import FileStart, ScatteredStart, WorldConfig, draw_starts
+
+SIGMA, CHUNK, UPDATES = 12, 2, 4
+PPO = PPOConfig(updates=UPDATES, worlds=8, steps=4, minibatches=2, epochs=1)
+BASE = StageConfig(ppo=PPO, horizon=8)
+AUXILIARY = StageConfig(
+    ppo=replace(PPO, discount=0.9, policy_rate=5e-3, clip=0.1),
+    horizon=6,
+    noise=0.2,
+    weights={"safety": 2.0, "neighbors": 2.0, "visible": 3.0},
+)
+PROBLEM = Problem(
+    world=WorldConfig(robots=4, half_width=12.0, half_height=12.0, scan_radius=40.0, safe_distance=4.0, max_speed=0.5),
+    objective="C2",
+    start=ScatteredStart(),
+    policy=CentralPolicy(hidden=(6,)),
+    base=BASE,
+    auxiliary=AUXILIARY,
+    discovery=DiscoveryConfig(max_policies=3, sigma=SIGMA, episodes=SIGMA, chunk=CHUNK),
+    rest=RestRule(max_steps=20),
+    seed=0,
+)
+
+
+class Judged(Search):
+    """A search that is told how good its patterns are."""
+
+    share = 0.0
+
+    def validity(self, policies, index):
+        return self.share
+
+
+@pytest.fixture
+def handmade_policies(monkeypatch):
+    """Has every cascade of a search do what a policy made by hand does."""
+
+    def use(always):
+        build = search.build_cascade
+
+        def build_handmade(problem, policies, world=None):
+            return build(problem, tuple(Implode(always) for _ in policies), world)
+
+        monkeypatch.setattr(search, "build_cascade", build_handmade)
+
+    return use
+
+
+def finish(discovery, snapshot):
+    while not snapshot.finished:
+        snapshot, _ = discovery.advance(snapshot)
+    return snapshot
+
+
+def same(first, second):
+    """Says whether two trees are equal to the bit."""
+    pairs = zip(jax.tree.leaves(first), jax.tree.leaves(second), strict=True)
+    return all(np.array_equal(a, b) for a, b in pairs)
+
+
+@pytest.fixture(scope="module")
+def unbroken():
+    """Every snapshot of a discovery whose patterns are never valid, its metrics, and how often training was traced."""
+    traced, update = [0], ppo._update
+
+    def counted(*arguments):
+        traced[0] += 1
+        return update(*arguments)
+
+    discovery = Judged(PROBLEM)
+    snapshots, rows, counts = [discovery.begin()], [], []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(ppo, "_update", counted)
+        while not snapshots[-1].finished:
+            snapshot, more = discovery.advance(snapshots[-1])
+            snapshots.append(snapshot)
+            rows += more
+            counts.append(traced[0])
+    return snapshots, rows, counts
+
+
+def test_the_list_grows_to_its_end_while_nothing_is_valid(unbroken):
+    snapshots, _, _ = unbroken
+    assert [len(s.policies) for s in snapshots] == [0, 0, 1, 1, 2, 2, 3]
+    assert [s.train is None for s in snapshots] == [True, False, True, False, True, False, True]
+    assert [s.finished for s in snapshots] == [False] * 6 + [True]
+    assert snapshots[-1].valid == 0
+    assert [policy_name(i) for i in range(3)] == ["base", "auxiliary", "auxiliary"]
+    for earlier, later in pairwise(snapshots):
+        assert same(earlier.policies, later.policies[: len(earlier.policies)]), "a finished policy never changes"
+
+
+def test_each_policy_is_another(unbroken):
+    base, first, second = unbroken[0][-1].policies
+    assert not same(base, first)
+    assert not same(first, second)
+
+
+def test_there_is_a_row_for_every_update(unbroken):
+    _, rows, _ = unbroken
+    assert [(r["policy"], r["update"]) for r in rows] == [(p, u) for p in range(3) for u in range(1, UPDATES + 1)]
+    assert [r["name"] for r in rows] == ["base"] * UPDATES + ["auxiliary"] * 2 * UPDATES
+    assert [r["policy_steps"] for r in rows[:UPDATES]] == [8 * 4 * u for u in range(1, UPDATES + 1)]
+    for row in rows:
+        assert set(row["signals"]) == {"nclose", "safety", "neighbors", "visible"}
+        assert all(np.isfinite(v) for v in jax.tree.leaves({k: v for k, v in row.items() if k != "name"}))
+
+
+def test_base_and_auxiliary_share_one_compilation(unbroken):
+    assert set(unbroken[2]) == {1}
+
+
+def test_the_first_sigma_is_the_start_without_noise(unbroken):
+    sigma = unbroken[0][0].sigma
+    assert sigma.shape == (SIGMA, 4, 2)
+    np.testing.assert_allclose(sigma, np.tile([[12, 0], [0, 12], [-12, 0], [0, -12]], (SIGMA, 1, 1)), atol=1e-5)
+
+
+def test_every_sigma_is_free_of_collision_and_inside(unbroken):
+    for snapshot in unbroken[0]:
+        assert (clearances(np.moveaxis(np.asarray(snapshot.sigma), 0, -1), 1.0) > 0).all()
+        assert (np.abs(snapshot.sigma) <= 12).all()
+
+
+def test_the_auxiliary_is_trained_from_where_the_base_came_to_rest(unbroken):
+    """Its episodes begin within its noise of a configuration of sigma*, on episodes' clocks of all ages."""
+    between = unbroken[0][2]
+    state = Judged(PROBLEM).training(between).env_state[0]
+    offset = np.abs(np.moveaxis(np.asarray(state.positions), -1, 0)[:, None] - np.asarray(between.sigma))
+    assert (offset.max(axis=(2, 3)).min(axis=1) <= 0.2 + 1e-5).all()
+    assert offset.max(axis=(2, 3)).min(axis=1).max() > 0.05
+    assert ((state.step >= 0) & (state.step < AUXILIARY.horizon)).all()
+    assert len(np.unique(state.step)) > 1
+
+
+def test_the_same_seed_makes_the_same_weights(unbroken):
+    snapshots, _, _ = unbroken
+    again = Judged(PROBLEM)
+    assert same(finish(again, again.begin()).policies, snapshots[-1].policies)
+    other = Judged(replace(PROBLEM, seed=1))
+    assert not same(other.advance(other.begin())[0].train.policy, snapshots[1].train.policy)
+
+
+@pytest.mark.parametrize("at", [1, 2, 3, 5])
+def test_resuming_makes_the_same_weights(unbroken, at):
+    """In the midst of a policy or between two; the snapshot has been to the host and back, the discovery is new."""
+    snapshots, _, _ = unbroken
+    kept = jax.device_get((snapshots[at].policies, snapshots[at].sigma, snapshots[at].train))
+    policies, sigma, train = jax.tree.map(jnp.asarray, kept)
+    ended = finish(Judged(PROBLEM), replace(snapshots[at], policies=policies, sigma=sigma, train=train))
+    assert same(ended.policies, snapshots[-1].policies)
+    assert same(ended.sigma, snapshots[-1].sigma)
+
+
+def test_a_template_has_the_structure_of_what_it_is_for(unbroken):
+    for at in (1, 3, 5):
+        train = unbroken[0][at].train
+        template = Judged(PROBLEM).training(unbroken[0][at])
+        assert jax.tree.structure(template) == jax.tree.structure(train)
+        for mine, its in zip(jax.tree.leaves(template), jax.tree.leaves(train), strict=True):
+            assert (mine.shape, mine.dtype) == (its.shape, its.dtype)
+
+
+def test_an_auxiliary_may_begin_with_the_weights_before(unbroken):
+    warm = Judged(
+        replace(PROBLEM, auxiliary=replace(AUXILIARY, warm_start=True, ppo=replace(AUXILIARY.ppo, log_std=-2.0)))
+    )
+    begun, before = warm.training(unbroken[0][2]).policy, unbroken[0][2].policies[-1]
+    assert same((begun.body, begun.head), (before.body, before.head))
+    np.testing.assert_array_equal(begun.log_std, -2.0)
+    cold = Judged(PROBLEM).training(unbroken[0][2]).policy
+    assert not same(cold.head, before.head)
+
+
+@pytest.mark.parametrize(("least", "share", "policies"), [(1, 1.0, 1), (2, 1.0, 2), (1, 0.994, 3)])
+def test_the_list_is_complete_when_patterns_are_valid(least, share, policies):
+    discovery = Judged(replace(PROBLEM, discovery=replace(PROBLEM.discovery, min_policies=least)))
+    discovery.share = share
+    ended = finish(discovery, discovery.begin())
+    assert len(ended.policies) == policies
+    assert ended.valid == share
+
+
+def test_nothing_follows_when_every_episode_ends_in_contact(handmade_policies):
+    """Sigma is empty: the search ends without a valid pattern, and says so."""
+    # From anywhere, a tight swarm may drift towards the origin without a change of its objective: that is rest.
+    handmade_policies(True)
+    discovery = Judged(replace(PROBLEM, base=replace(BASE, random_share=0.0)))
+    ended = finish(discovery, discovery.begin())
+    assert ended.finished
+    assert len(ended.policies) == 1
+    assert ended.sigma.shape == (0, 4, 2)
+    assert ended.valid == 0
+
+
+def test_sigma_holds_only_what_did_not_end_in_contact(handmade_policies):
+    handmade_policies(False)
+    discovery = Judged(PROBLEM)
+    snapshot = discovery.begin()
+    while not snapshot.policies:
+        snapshot, _ = discovery.advance(snapshot)
+    sigma = np.asarray(snapshot.sigma)
+    assert sigma.shape == (SIGMA, 4, 2)
+    assert (sigma[:, 1, 0] <= 0).all(), "these held still; all others collided"
+    assert 1 < len(np.unique(sigma, axis=0)) < SIGMA, "repeated up to its size"
+    assert (clearances(np.moveaxis(sigma, 0, -1), 1.0) > 0).all()
+
+
+def test_validity_is_the_share_of_valid_episodes(handmade_policies):
+    """Robots that hold still on their circle form a valid pattern if all are neighbours."""
+    handmade_policies(None)
+    discovery = Search(replace(PROBLEM, world=replace(PROBLEM.world, scan_radius=22.5)))
+    starts = draw_starts(discovery.world.start, draw_key(PROBLEM, 1, "evaluation"), SIGMA, discovery.world.config)
+    expected = neighbors(np.moveaxis(starts, 0, -1), 22.5).sum(axis=(0, 1)) == 4 * 3
+    assert 0 < expected.mean() < 1
+    assert discovery.validity((None,), 1) == expected.mean()
+
+
+def crowd(tmp_path, **stage):
+    """Four robots in a world with room for them in its corners only."""
+    path = tmp_path / "starts.csv"
+    path.write_text("start,x,y\n" + "".join(f"0,{x},{y}\n" for x in (-1.03, 1.03) for y in (-1.03, 1.03)))
+    world = WorldConfig(robots=4, half_width=1.03, half_height=1.03, scan_radius=40.0, safe_distance=4.0)
+    start = FileStart(file=str(path), noise=0.0)
+    return replace(PROBLEM, world=world, start=start, base=replace(BASE, **stage))
+
+
+def test_a_random_share_needs_room_for_random_starts(tmp_path):
+    with pytest.raises(InputError, match="few enough to fit the random start"):
+        Search(crowd(tmp_path, random_share=0.5))
+
+
+def test_without_a_random_share_a_crowd_may_begin_as_it_is(tmp_path):
+    """Random starts, of which none is needed, are not drawn at all."""
+    discovery = Search(crowd(tmp_path, random_share=0.0))
+    state = discovery.training(discovery.begin()).env_state[0]
+    np.testing.assert_allclose(np.abs(state.positions), 1.03, rtol=1e-6)
+
+
+def test_a_symmetric_share_begins_exactly_symmetric_and_only_the_base():
+    problem = replace(PROBLEM, base=replace(BASE, symmetric_share=0.5))
+    discovery = Search(problem)
+    snapshot = discovery.begin()
+    counts = []
+    for index in range(2):
+        world = training_world(problem, index, discovery.world.start, snapshot.sigma)
+        positions = draw_starts(world.start, jax.random.key(1), 400, world.config)
+        # Turned by half a turn around the origin, each of these families is what it was.
+        turned = np.abs(positions[:, :, None] + positions[:, None]).max(axis=-1).min(axis=2).max(axis=1)
+        counts.append(int((turned < 1e-4).sum()))
+    assert 160 < counts[0] < 240
+    assert counts[1] == 0
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"horizon": 0},
+        {"noise": -1.0},
+        {"noise": float("inf")},
+        {"random_share": 1.5},
+        {"random_spread": 0.0},
+        {"symmetric_share": -0.1},
+    ],
+)
+def test_no_such_stage(fields):
+    with pytest.raises(InputError, match=f"^{next(iter(fields))} = "):
+        StageConfig(**fields)
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [{"max_policies": 1}, {"min_policies": 0}, {"required_valid": 1.1}, {"sigma": 0}, {"episodes": 0}, {"chunk": 0}],
+)
+def test_no_such_discovery(fields):
+    with pytest.raises(InputError, match=f"^{next(iter(fields))} = "):
+        DiscoveryConfig(**fields)

@@ -1,0 +1,120 @@
+"""A run as the figures read it: what was recorded, episodes cut at their end, the typical one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from murmurate import plots
+from murmurate.errors import InputError, RunError
+from murmurate.runs import experiment, storage
+
+
+@pytest.fixture(scope="module")
+def folder(recording, tmp_path_factory):
+    """The folder of a finished run that holds the recording; not to be changed."""
+    folder = tmp_path_factory.mktemp("runs") / "C"
+    folder.mkdir()
+    experiment.save(recording.experiment, folder)
+    write_trajectories(recording, folder)
+    rows = [
+        {
+            "policy": policy,
+            "name": curve.name,
+            "environment_steps": curve.environment_steps[update],
+            "signals": {name: values[update] for name, values in curve.signals.items()},
+        }
+        for policy, curve in enumerate(recording.training)
+        for update in range(len(curve.environment_steps))
+    ]
+    storage.append_lines(folder / "metrics.jsonl", rows)
+    manifest = {"format": storage.FORMAT, "checksums": storage.checksums(folder, ["experiment.toml"])}
+    storage.write_json(folder / "manifest.json", manifest)
+    return folder
+
+
+def write_trajectories(recording, folder):
+    trajectories = recording.trajectories
+    names = ("positions", "lengths", "switch", "at_rest")
+    arrays = {name: getattr(trajectories, name) for name in names}
+    arrays["signals"] = np.stack(list(trajectories.signals.values()), axis=-1)
+    storage.write_npz(folder / "trajectories.npz", arrays | {"signal_names": np.array(list(trajectories.signals))})
+
+
+def test_reads_what_was_recorded(recording, folder):
+    opened = plots.Recording.open(str(folder))
+    assert opened.experiment == recording.experiment
+    assert opened.policies == ["base", "auxiliary"]
+    assert opened.gathering_point
+    np.testing.assert_array_equal(opened.trajectories.positions, recording.trajectories.positions)
+    for curve, expected in zip(opened.training, recording.training, strict=True):
+        np.testing.assert_array_equal(curve.environment_steps, expected.environment_steps)
+        np.testing.assert_array_equal(curve.signals["visible"], expected.signals["visible"])
+    assert opened.valid.all()
+
+
+def test_what_cannot_be_drawn_is_one_line(recording, change, folder, tmp_path):
+    with pytest.raises(RunError, match="holds no run"):
+        plots.Recording.open(tmp_path / "nowhere")
+    broken = tmp_path / "broken"
+    broken.mkdir()
+    for name in ("experiment.toml", "metrics.jsonl", "manifest.json"):
+        (broken / name).write_bytes((folder / name).read_bytes())
+    with pytest.raises(RunError, match=r"trajectories\.npz"):
+        plots.Recording.open(broken)
+    write_trajectories(change(recording, positions=np.full_like(recording.trajectories.positions, np.nan)), broken)
+    with pytest.raises(RunError, match=r"trajectories\.npz is malformed: .* not finite"):
+        plots.Recording.open(broken)
+
+
+def test_an_episode_ends_at_its_rest(recording):
+    episode = recording.episode(1)
+    assert len(episode.positions) == recording.trajectories.lengths[1] + 1 == episode.steps + 1
+    assert set(episode.signals) == {"close", "safety", "neighbors", "visible"}
+    (switch,) = episode.switches
+    assert episode.policies.tolist() == [0] * switch + [1] * (episode.steps - switch)
+    expected = sum(values[1, : episode.steps + 1] for values in recording.trajectories.signals.values())
+    np.testing.assert_allclose(recording.objective(episode.signals), expected, rtol=1e-6)
+
+
+def test_typical_is_the_median_of_the_valid(recording, change):
+    lengths = recording.trajectories.lengths
+    assert lengths[recording.typical()] == np.sort(lengths)[2]
+    slow, fast = int(np.argmax(lengths)), int(np.argmin(lengths))
+    assert change(recording, at_rest=np.isin(np.arange(5), [slow, fast])).typical() == fast
+    restless = change(recording, at_rest=np.zeros(5, bool))
+    assert restless.typical() == recording.typical()
+    assert (recording.episode().outcome, restless.episode().outcome) == ("at rest", "not at rest")
+
+
+def test_a_contact_on_the_path_is_not_valid(recording, change):
+    positions = recording.trajectories.positions.copy()
+    # Two robots change places within one step and back: apart at both ends, not in between.
+    positions[0, 5, :2] = [[-3, 30], [3, 30]]
+    positions[0, 6, :2] = [[3, 30], [-3, 30]]
+    assert change(recording, positions=positions).valid.tolist() == [False, True, True, True, True]
+
+
+@pytest.mark.parametrize("index", [-1, 5])
+def test_no_such_episode(recording, index):
+    with pytest.raises(InputError, match="episode = "):
+        recording.episode(index)
+
+
+def test_a_switch_that_never_happened_falls_on_the_end(recording, change):
+    switch = recording.trajectories.switch.copy()
+    switch[2] = 10_000
+    episode = change(recording, switch=switch).episode(2)
+    assert episode.switches == (episode.steps,)
+
+
+def test_a_recording_is_one_line_and_a_picture(recording):
+    assert "\n" not in repr(recording)
+    assert repr(recording).startswith("Recording(C: ")
+    assert recording._repr_png_().startswith(b"\x89PNG")
+
+
+def test_policies_without_training_have_names(recording):
+    assert replace(recording, training=()).policies == ["base", "auxiliary"]
