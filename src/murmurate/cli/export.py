@@ -52,7 +52,7 @@ def run(argv: Sequence[str]) -> int:
 def _model(folder: str | None, index: int | None, out: str | None) -> int:
     path = _free(Path(out or f"{Path(folder).resolve().name if folder else 'murmurate'}.onnx"))
     import murmurate
-    from murmurate.runs import storage
+    from murmurate.runs import files
 
     opened = murmurate.load(folder) if folder else murmurate.pretrained()
     try:
@@ -63,7 +63,7 @@ def _model(folder: str | None, index: int | None, out: str | None) -> int:
     difference = model.difference(opened)
     if not difference <= onnx.TOLERANCE:
         raise RunError(f"the model differs from the policy by {difference:.1e}: nothing was written")
-    storage.write_bytes(path, model.data)
+    files.write_bytes(path, model.data)
     for name, shape in model.program.inputs.items():
         print(f"input: {name} {' x '.join(map(str, shape))}, float32")
     print(f"outputs: {', '.join(model.program.outputs)}")
