@@ -88,7 +88,7 @@ def folder_of(path, robots, radius):
     told = {"objective": "C2", "value": 3.9, "gap": None, "experiment": "ring", "policy": "central", "start": "random"}
     sizes = {"radius": radius, "safe_distance": 5.0, "scan_radius": 50.0}
     finding = Finding(positions=ring, **sizes, **told, seed=0, run=path.name, episode=0)
-    catalogues.save(Catalogue.of([finding]), path)
+    catalogues.write(Catalogue.of([finding]), path)
     return path
 
 

@@ -59,7 +59,7 @@ def _list() -> int:
 def _search(config: OptimumConfig, out: Path | None, command: str) -> int:
     from murmurate.analysis.optimum.best_known import BestKnown
     from murmurate.analysis.optimum.search import hop, search
-    from murmurate.runs import storage
+    from murmurate.runs import files
 
     found = search(config)
     _print_found(config, found)
@@ -73,7 +73,7 @@ def _search(config: OptimumConfig, out: Path | None, command: str) -> int:
         return 3
     _print_comparison(config, best)
     if out is not None:
-        storage.write_json(out, BestKnown.of(config.target, best.positions, command).to_dict())
+        files.write_json(out, BestKnown.of(config.target, best.positions, command).to_dict())
         print(f"pattern: {out}")
     return 0
 

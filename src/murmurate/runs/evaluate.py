@@ -187,9 +187,3 @@ def wilson(successes: int, trials: int, z: float = 1.96) -> tuple[float, float]:
     center = (share + squared / 2) / (1 + squared)
     half = math.sqrt(share * (1 - share) * squared + squared * squared / 4) / (1 + squared)
     return max(0.0, center - half), min(1.0, center + half)
-
-
-# Old names, for modules that are not ported yet
-from murmurate.runs.folder import EVALUATION, RECORD, TRAJECTORIES  # noqa: E402, F401
-
-FRESH = {"kind": "fresh"}
