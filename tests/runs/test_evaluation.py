@@ -105,7 +105,7 @@ def test_a_pattern_that_beats_the_table_is_offered_as_a_record(tmp_path, monkeyp
     evaluation = stands_still(TRIANGLE)
     evaluation.save(tmp_path)
     assert not (tmp_path / "record.json").exists()
-    worse = BestKnown.of(evaluation.target, 1.1 * TRIANGLE, "by hand")
+    worse = BestKnown.from_target(evaluation.target, 1.1 * TRIANGLE, "by hand")
     monkeypatch.setattr(best_known, "load", lambda: (worse,))
     evaluation.save(tmp_path)
     record = BestKnown.from_dict(files.read_json(tmp_path / "record.json"))
