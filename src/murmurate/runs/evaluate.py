@@ -144,6 +144,12 @@ class Evaluation:
         steps = self.trajectories.lengths.mean()
         return f"Evaluation({self.experiment.name}: {valid} of {episodes} episodes valid, {steps:.1f} steps)"
 
+    def _repr_png_(self) -> bytes:
+        """Returns the formation of the typical pattern, which notebooks show."""
+        from murmurate.plots import Recording  # figures are drawn from evaluations
+
+        return Recording(self.experiment, self.trajectories)._repr_png_()
+
 
 def evaluate(
     run: Run,
