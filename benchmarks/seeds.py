@@ -56,7 +56,7 @@ class Study:
 def study(experiment: str, seeds: int, runs: Path) -> Study:
     """Sorts what the runs of one experiment discovered, anneals the same problem, and compares."""
     folders = [runs / f"{experiment}-equivariant-seed{seed}" for seed in range(seeds)]
-    found = [finding for folder in folders for finding in catalogues.findings(folder)]
+    found = [finding for folder in folders for finding in catalogues.read_findings(folder)]
     ours = Catalogue.from_findings(found) if found else None
     theirs = Catalogue.from_findings(anneal(experiment))
     if ours is None:

@@ -138,8 +138,21 @@ def test_progress_on_a_terminal(monkeypatch):
     assert "50% valid" in text
 
 
-def test_progress_is_silent_elsewhere():
+def test_progress_is_plain_lines_elsewhere():
     stream = io.StringIO()
     with Progress(stream) as progress:
-        progress.update("base policy", 1, 2, reward=1.0)
-    assert stream.getvalue() == ""
+        progress.update("base policy", 0, 2, note="compiling")
+        progress.update("base policy", 1, 2, reward=1.0, steps_per_second=1234.5)
+        progress.update("evaluation", 200, 200)
+    assert stream.getvalue().splitlines() == [
+        "base policy: 0/2  compiling",
+        "base policy: 1/2  reward +1.0000  1,234 steps/s",
+        "evaluation: 200/200",
+    ]
+
+
+def test_progress_can_be_quiet():
+    for stream in (io.StringIO(), Terminal()):
+        with Progress(stream, quiet=True) as progress:
+            progress.update("base policy", 1, 2, reward=1.0)
+        assert stream.getvalue() == ""

@@ -1,14 +1,14 @@
 from __future__ import annotations
 
-import json
 import shutil
 
 import numpy as np
 import pytest
 
 from murmurate.cli.main import main
-from murmurate.runs import presets, storage, train
+from murmurate.runs import files, presets, train
 from murmurate.runs.experiment import load
+from murmurate.runs.folder import RunFolder, describe_starts, is_fresh
 
 FIGURE, ANIMATION = "figures/discovery.png", "figures/discovery.gif"
 
@@ -25,7 +25,7 @@ def contents(folder):
 
 def test_discover_leaves_a_run_and_its_picture(discovered):
     assert (discovered / FIGURE).read_bytes().startswith(b"\x89PNG")
-    assert storage.read_manifest(discovered)["experiment"] == "tiny"
+    assert RunFolder(discovered).manifest()["experiment"] == "tiny"
 
 
 def test_discover_says_what_it_found(discovered, tiny_toml, capsys):
@@ -52,18 +52,51 @@ def test_no_valid_pattern_is_status_3_and_the_run_is_kept(tiny_toml, tmp_path, c
     out = tmp_path / "run"
     assert main(["discover", str(tiny_toml), "--out", str(out), "--world.scan_radius", "2.5"]) == 3
     assert f"No valid pattern was discovered. The run is kept in {out}" in capsys.readouterr().out
-    assert storage.read_manifest(out)["outcome"] == "no valid pattern was discovered"
+    assert RunFolder(out).manifest()["valid_pattern"] is False
     assert (out / FIGURE).exists()
     assert main(["discover", str(tiny_toml), "--out", str(out), "--world.scan_radius", "2.5", "--resume"]) == 3
 
 
-def test_policies_that_went_astray_are_no_valid_pattern(tiny_toml, tmp_path, capsys):
+def test_a_training_that_diverges_is_one_line(tiny_toml, tmp_path, capsys):
     out = tmp_path / "run"
-    words = ["--base.ppo.policy_rate", "1e30", "--base.ppo.policy_rate_end", "1e30"]
-    assert main(["discover", str(tiny_toml), "--out", str(out), *words]) == 3
-    assert "No valid pattern was discovered" in capsys.readouterr().out
-    assert json.loads((out / "evaluation.json").read_text())["valid"] == 0
-    assert main(["table", str(out)]) == 0
+    words = ["--base.ppo.policy_rate", "1e30", "--base.ppo.policy_rate_end", "1e30", "--quiet"]
+    assert main(["discover", str(tiny_toml), "--out", str(out), *words]) == 2
+    printed, err = capsys.readouterr()
+    assert printed == ""
+    assert err.startswith(f"murmurate: {out}: the training of the base policy diverged at update ")
+    assert err.count("\n") == 1
+    assert RunFolder(out).inspect(resume=True) == "unfinished"
+
+
+def test_progress_is_a_line_for_each_chunk_in_a_log_and_none_with_quiet(tiny_toml, tmp_path, capsys):
+    assert main(["discover", str(tiny_toml), "--out", str(tmp_path / "run")]) == 0
+    lines = capsys.readouterr().err.splitlines()
+    assert [line.partition("  ")[0] for line in lines] == [
+        "base policy: 0/4",
+        "base policy: 2/4",
+        "base policy: 4/4",
+        "auxiliary policy: 2/4",
+        "auxiliary policy: 4/4",
+        "evaluation: 0/200",
+        "evaluation: 200/200",
+    ]
+    assert main(["discover", str(tiny_toml), "--out", str(tmp_path / "other"), "--quiet"]) == 0
+    assert capsys.readouterr().err == ""
+
+
+def test_discover_begins_with_the_policies_of_a_run(discovered, tiny_toml, tmp_path, capsys):
+    out = tmp_path / "run"
+    words = ["discover", str(tiny_toml), "--from", str(discovered), "--seed", "1", "--out", str(out)]
+    assert main(words) in (0, 3)
+    assert RunFolder(out).manifest()["initial"]["experiment"] == "tiny"
+    assert main([*words, "--resume"]) in (0, 3)
+    capsys.readouterr()
+    other = ["discover", str(tiny_toml), "--from", str(tmp_path / "none"), "--out", str(tmp_path / "x")]
+    assert main(other) == 2
+    assert "none holds no run" in capsys.readouterr().err
+    assert main([*other[:3], str(discovered), *other[4:], "--policy.hidden", "4,4"]) == 2
+    assert "the base policy to begin with has " in capsys.readouterr().err
+    assert not (tmp_path / "x").exists()
 
 
 def test_interrupting_says_how_to_go_on(tiny_toml, tmp_path, capsys, monkeypatch):
@@ -79,8 +112,8 @@ def test_interrupting_says_how_to_go_on(tiny_toml, tmp_path, capsys, monkeypatch
 def test_evaluate_replaces_the_evaluation(run, capsys):
     before = contents(run)
     assert main(["evaluate", str(run), "--seed", "1"]) == 0
-    summary = storage.read_json(run / "evaluation.json")
-    assert (summary["episodes"], summary["seed"], summary["starts"]) == (200, 1, "fresh")
+    summary = RunFolder(run).evaluation()
+    assert (summary["episodes"], summary["seed"], is_fresh(summary)) == (200, 1, True)
     changed = {path.name for path, data in contents(run).items() if before.get(path) != data}
     assert changed == {"evaluation.json", "trajectories.npz", "discovery.png"}
     assert main(["evaluate", str(run)]) == 0
@@ -103,11 +136,11 @@ def test_evaluate_takes_every_start_of_a_file_in_order(run, tmp_path, capsys):
     rows = [f"{name},{x},{y}" for name, start in zip("hgfedcba", starts, strict=True) for x, y in start]
     (tmp_path / "mine.csv").write_text("\n".join(["start,x,y", *rows]))
     assert main(["evaluate", str(run), "--starts", str(tmp_path / "mine.csv")]) == 0
-    summary = storage.read_json(run / "evaluation.json")
-    assert (summary["episodes"], summary["starts"]) == (8, "mine.csv")
-    recorded = storage.read_npz(run / "trajectories.npz")["positions"][:, 0]
+    summary = RunFolder(run).evaluation()
+    assert (summary["episodes"], describe_starts(summary)) == (8, "starts of mine.csv")
+    recorded = files.read_npz(run / "trajectories.npz")["positions"][:, 0]
     assert np.array_equal(recorded, starts.astype(np.float32))
-    assert "8 mine.csv starts" in capsys.readouterr().out
+    assert "8 starts of mine.csv" in capsys.readouterr().out
 
 
 def test_show_draws_and_animates(run, tmp_path, capsys):

@@ -11,7 +11,7 @@ import pytest
 import murmurate
 from murmurate.cli.main import main
 from murmurate.errors import BeyondTrainingWarning, InputError, RunError
-from murmurate.runs import pretrained, storage
+from murmurate.runs import files, pretrained
 
 
 def refused(capsys, words, *parts):
@@ -169,12 +169,12 @@ def test_compare_writes_a_table_and_figures_and_goes_on(tmp_path, capsys):
     names = {path.name for path in out.iterdir()}
     assert names - {"failures.png"} == {"comparison.json", "comparison.md", "comparison.png"}
     assert "![Valid patterns by method](comparison/comparison.png)" in page.read_text()
-    rows = storage.read_json(out / "comparison.json")["rows"]
+    rows = files.read_json(out / "comparison.json")["rows"]
     failed = any(row["worst"] for row in rows if row["method"] == "learned")
     assert failed == ("failures.png" in names)
     assert compared(out, "--starts", "random,line", "--into", str(page)) == 0
     assert capsys.readouterr().out.count(" of 6 valid (") == 8
-    after = storage.read_json(out / "comparison.json")["rows"]
+    after = files.read_json(out / "comparison.json")["rows"]
     assert after[:4] == json.loads(json.dumps(rows))
     assert page.read_text().count("## Any swarm") == 1
 

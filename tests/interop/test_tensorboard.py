@@ -12,7 +12,7 @@ from murmurate.cli.main import main
 from murmurate.errors import RunError
 from murmurate.interop.tensorboard import FOLDER, Events, scalars
 from murmurate.runs import train
-from murmurate.runs.run import METRICS
+from murmurate.runs.folder import METRICS
 from tiny import tiny, write_toml
 
 

@@ -142,11 +142,14 @@ def test_a_killed_writer_leaves_the_old_file(tmp_path):
 @pytest.mark.parametrize("line", ["{", "3", "[" * 100_000])
 def test_damaged_rows_are_one_line(tmp_path, line):
     path = tmp_path / "rows"
-    assert files.read_rows(path) == []
+    assert files.read_rows(path) == ([], 0)
     files.append_rows(path, [{"a": 1}])
     with path.open("a") as file:
         file.write('{"a": 2')  # killed here
-    assert files.read_rows(path) == [{"a": 1}]
+    assert files.read_rows(path) == ([{"a": 1}], 9)
+    with path.open("a") as file:
+        file.write("}\n")
+    assert files.read_rows(path, 9) == ([{"a": 2}], 18)
     path.write_text(line + "\n")
     with pytest.raises(RunError, match="line 1 is not a JSON object") as caught:
         files.read_rows(path)

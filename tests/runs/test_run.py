@@ -122,6 +122,12 @@ def test_runs_and_what_they_do_are_one_line(run):
     assert repr(evaluate(run, 4)).startswith("Evaluation(tiny: ")
 
 
+def test_notebooks_show_pictures(run):
+    other = run.under(replace(run.experiment, scheduler=SsyncScheduler()))
+    for shown in (run, other, evaluate(run, 4)):
+        assert shown._repr_png_().startswith(b"\x89PNG")
+
+
 def test_the_key_reaches_scheduler_and_frames(run):
     """With the same starts, other keys activate other robots; a key of jax.random counts as well."""
     half = run.under(replace(run.experiment, scheduler=SsyncScheduler(activation_probability=0.5)))

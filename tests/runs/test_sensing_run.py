@@ -7,7 +7,9 @@ import pytest
 from test_training import KEPT, StoppedError, stop_after
 
 from murmurate.errors import InputError
-from murmurate.runs import presets, storage, train
+from murmurate.runs import presets, train
+from murmurate.runs.folder import RunFolder
+from murmurate.runs.run import Run
 from murmurate.world import LocalObservation
 from tiny import tiny
 
@@ -21,15 +23,15 @@ def run(tmp_path_factory):
 
 
 def test_it_is_opened_with_the_eyes_it_was_trained_with(run):
-    again = train.Run.open(run.folder)
+    again = Run.open(run.folder)
     assert again.experiment == run.experiment
-    assert config.load(run.folder).sensing.range_noise == 0.01
+    assert RunFolder(run.folder).experiment().sensing.range_noise == 0.01
     assert isinstance(again.world, LocalObservation)
     assert again.world.sensing == run.experiment.sensing
     first, second = again.rollout(4, key=1), run.rollout(4, key=1)
     np.testing.assert_array_equal(first.positions, second.positions)
     assert first.positions.shape[2:] == (3, 2)
-    assert storage.read_json(run.folder / "evaluation.json")["collision_free"] > 0.5
+    assert RunFolder(run.folder).evaluation()["contact_free"] > 0.5
 
 
 def test_resuming_ends_in_the_same_bytes(run, tmp_path):
@@ -42,24 +44,24 @@ def test_resuming_ends_in_the_same_bytes(run, tmp_path):
 
 
 def test_runs_without_a_word_on_sensing_perceive_everything(tmp_path):
-    config.save(tiny(), tmp_path)
+    RunFolder(tmp_path).write_experiment(tiny())
     path = tmp_path / "experiment.toml"
     before, _, after = path.read_text().partition("[sensing]")
     path.write_text(before + after.partition("\n[")[1] + after.partition("\n[")[2])
     assert "sensing" not in path.read_text()
-    assert config.load(tmp_path) == tiny()
+    assert RunFolder(tmp_path).experiment() == tiny()
 
 
 def test_a_run_has_a_scheduler_of_its_own_and_counts_epochs(tmp_path):
     scheduler = {"kind": "async", "delay": 1, "span": 2, "rigid": False}
     made = train.discover(tiny(**LOCAL, scheduler=scheduler), tmp_path / "run")
-    again = train.Run.open(made.folder)
+    again = Run.open(made.folder)
     assert again.world.env.scheduler == made.experiment.scheduler
     assert again.cascade.rest.window == made.experiment.rest.window * 4
     ran = again.rollout(16)
     assert (ran.epochs > 0).all()
     assert (ran.epochs < ran.lengths).all()
-    assert storage.read_json(made.folder / "evaluation.json")["epochs"] > 0
+    assert RunFolder(made.folder).evaluation()["epochs"] > 0
 
 
 def test_without_a_scheduler_an_epoch_is_a_step(run):

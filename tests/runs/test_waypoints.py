@@ -11,8 +11,8 @@ import pytest
 
 from murmurate.errors import InputError, RunError
 from murmurate.interop.waypoints import Scale, Waypoints
-from murmurate.runs import storage
-from murmurate.runs.evaluate import TRAJECTORIES
+from murmurate.runs import files
+from murmurate.runs.folder import RunFolder
 from tiny import tiny
 
 RADIUS, SPEED = 1.0, 0.5
@@ -23,14 +23,19 @@ def recorded(tmp_path):
     """Makes a run folder with given trajectories of three robots."""
 
     def make(positions, lengths):
-        experiment = tiny()
-        from murmurate.runs import experiment as configuration
-
-        configuration.save(experiment, tmp_path)
-        arrays = {"positions": np.asarray(positions, np.float32), "lengths": np.asarray(lengths, np.int32)}
-        storage.write_npz(tmp_path / TRAJECTORIES, arrays)
-        sums = storage.checksums(tmp_path, [storage.EXPERIMENT])
-        storage.write_json(tmp_path / storage.MANIFEST, {"format": storage.FORMAT, "checksums": sums})
+        folder, (episodes, configurations) = RunFolder(tmp_path), np.shape(positions)[:2]
+        arrays = {
+            "positions": np.asarray(positions, np.float32),
+            "lengths": np.asarray(lengths, np.int32),
+            "switch": np.zeros((episodes, 0), np.int32),
+            "signals": np.zeros((episodes, configurations, 1), np.float32),
+            "signal_names": np.array(["nclose"]),
+            "at_rest": np.ones(episodes, bool),
+        }
+        folder.write_experiment(tiny())
+        folder.write_policies([{}])
+        folder.write_evaluation({}, arrays)
+        folder.write_manifest({}, policies=1)
         return tmp_path
 
     return make
@@ -46,7 +51,7 @@ def straight(steps=4, speed=SPEED, gap=5.0, height=6.0):
 
 def test_times_and_places_are_scaled_and_an_episode_ends_with_its_length(recorded):
     folder = recorded([straight(), straight()], [4, 2])
-    waypoints = Waypoints.of_run(folder, Scale(metres=0.05, seconds=0.4))
+    waypoints = Waypoints.from_run(folder, Scale(metres=0.05, seconds=0.4))
     first, second = waypoints.positions
     np.testing.assert_allclose(first, 0.05 * straight(), atol=5e-7)
     np.testing.assert_allclose(second, 0.05 * straight()[:3], atol=5e-7)
@@ -57,14 +62,14 @@ def test_times_and_places_are_scaled_and_an_episode_ends_with_its_length(recorde
 
 
 def test_csv_and_json_hold_the_same_numbers_and_the_scales(recorded):
-    waypoints = Waypoints.of_run(recorded([straight(), straight()], [4, 2]), Scale(metres=0.05, seconds=0.4))
+    waypoints = Waypoints.from_run(recorded([straight(), straight()], [4, 2]), Scale(metres=0.05, seconds=0.4))
     lines = waypoints.as_csv().splitlines()
     told = dict(line[2:].split(": ") for line in lines if line.startswith("#"))
     assert float(told["metres_per_world_unit"]) == 0.05
     assert float(told["seconds_per_step"]) == 0.4
     rows = list(csv.DictReader(io.StringIO("\n".join(line for line in lines if not line.startswith("#")))))
     assert len(rows) == 3 * (5 + 3)
-    data = json.loads(storage.to_json(waypoints.as_dict()))
+    data = json.loads(files.to_json(waypoints.as_dict()))
     assert data["metres_per_world_unit"] == 0.05
     for row in rows:
         robots = data["episodes"][int(row["episode"])]["robots"][int(row["robot"])]
@@ -76,7 +81,7 @@ def test_a_moment_between_two_waypoints_counts(recorded):
     # Robot 2 passes robot 0 at a distance of 2.2 in the middle of its second step.
     positions = straight(steps=2, height=2.2)
     positions[:, 2, 0] = [-3.0, -2.75, -2.25]
-    waypoints = Waypoints.of_run(recorded([positions], [2]), Scale(metres=1.0))
+    waypoints = Waypoints.from_run(recorded([positions], [2]), Scale(metres=1.0))
     assert waypoints.nearest == pytest.approx(2.2, abs=1e-5)
 
 
@@ -85,32 +90,32 @@ def test_episodes_with_a_collision_or_outside_the_world_are_left_out(recorded):
     touching[2, 1] = touching[2, 0] + [1.9, 0.0]
     away[3, 2] = [-8.0, 12.5]
     folder = recorded([touching, straight(), away], [4, 4, 4])
-    waypoints = Waypoints.of_run(folder, Scale())
+    waypoints = Waypoints.from_run(folder, Scale())
     assert (waypoints.episodes, waypoints.left_out) == ((1,), (0, 2))
     with pytest.raises(RunError, match="every one of 1 episodes"):
-        Waypoints.of_run(folder, Scale(), episodes=1)
+        Waypoints.from_run(folder, Scale(), episodes=1)
 
 
 def test_robots_that_are_too_large_or_too_slow_are_refused_with_what_would_do(recorded):
     folder = recorded([straight()], [4])
-    Waypoints.of_run(folder, Scale(metres=0.1, robot_radius=0.2499, robot_speed=0.0501))
+    Waypoints.from_run(folder, Scale(metres=0.1, robot_radius=0.2499, robot_speed=0.0501))
     with pytest.raises(
         InputError, match=r"--robot-radius = 0\.251: must be less than 0\.25 m.*--scale greater than 0\.1004"
     ):
-        Waypoints.of_run(folder, Scale(metres=0.1, robot_radius=0.251))
+        Waypoints.from_run(folder, Scale(metres=0.1, robot_radius=0.251))
     with pytest.raises(InputError, match=r"--robot-speed = 0\.025: must be at least 0\.05 m/s; or --period at least 2"):
-        Waypoints.of_run(folder, Scale(metres=0.1, robot_speed=0.025))
-    slower = Waypoints.of_run(folder, Scale(metres=0.1, seconds=2.01, robot_speed=0.025))
+        Waypoints.from_run(folder, Scale(metres=0.1, robot_speed=0.025))
+    slower = Waypoints.from_run(folder, Scale(metres=0.1, seconds=2.01, robot_speed=0.025))
     assert slower.fastest <= 0.025
 
 
 def test_recorded_positions_faster_than_the_world_allows_are_refused(recorded):
     with pytest.raises(RunError, match="the limit is"):
-        Waypoints.of_run(recorded([straight(speed=0.6)], [4]), Scale())
+        Waypoints.from_run(recorded([straight(speed=0.6)], [4]), Scale())
 
 
 def test_nobody_moves(recorded):
-    waypoints = Waypoints.of_run(recorded([straight()], [0]), Scale())
+    waypoints = Waypoints.from_run(recorded([straight()], [0]), Scale())
     assert waypoints.fastest == 0
     assert waypoints.positions[0].shape == (1, 3, 2)
     assert waypoints.nearest == pytest.approx(0.5, abs=1e-6)
@@ -127,11 +132,11 @@ def test_episodes_are_as_many_as_there_are(recorded):
     folder = recorded([straight()], [4])
     for wrong in (0, 2):
         with pytest.raises(InputError, match=f"--episodes = {wrong}"):
-            Waypoints.of_run(folder, Scale(), episodes=wrong)
+            Waypoints.from_run(folder, Scale(), episodes=wrong)
 
 
 def test_a_finished_run_is_written_and_read(finished, tmp_path):
-    waypoints = Waypoints.of_run(finished, Scale(metres=0.2))
+    waypoints = Waypoints.from_run(finished, Scale(metres=0.2))
     waypoints.write(tmp_path / "way.csv", "csv")
     waypoints.write(tmp_path / "way.json", "json")
     stated = len(waypoints.about())

@@ -36,6 +36,7 @@ def run(argv: Sequence[str]) -> int:
     )
     parser.add_argument("--robot-speed", type=float, metavar="M/S", help="refuse what robots this fast cannot follow")
     parser.add_argument("--out", metavar="FILE", help="where to write (default: the run's name, .onnx, .csv or .json)")
+    parser.add_argument("--trust", action="store_true", help="import the modules that RUN names, which executes them")
     options, _ = parser.parse(argv)
     given = {flag for flag in (*CASCADE, *WAYPOINTS) if getattr(options, flag[2:].replace("-", "_")) is not None}
     if options.onnx == (options.trajectories is not None):
@@ -43,18 +44,19 @@ def run(argv: Sequence[str]) -> int:
     for flag in sorted(given.intersection(WAYPOINTS if options.onnx else CASCADE)):
         raise UsageError(f"{flag} is for {'--trajectories' if options.onnx else '--onnx'}")
     if options.onnx:
-        return _model(options.run, options.policy, options.out)
+        return _model(options.run, options.policy, options.out, options.trust)
     if options.run is None:
         raise UsageError("--trajectories needs a RUN that has recorded some")
     return _waypoints(options)
 
 
-def _model(folder: str | None, index: int | None, out: str | None) -> int:
+def _model(folder: str | None, index: int | None, out: str | None, trust: bool) -> int:
     path = _free(Path(out or f"{Path(folder).resolve().name if folder else 'murmurate'}.onnx"))
     import murmurate
     from murmurate.runs import files
+    from murmurate.runs.run import Run
 
-    opened = murmurate.load(folder) if folder else murmurate.pretrained()
+    opened = Run.open(folder, trust) if folder else murmurate.pretrained()
     try:
         from murmurate.interop import onnx
     except ModuleNotFoundError as error:
@@ -84,14 +86,12 @@ def _waypoints(options: Namespace) -> int:
         robot_radius=options.robot_radius,
         robot_speed=options.robot_speed,
     )
-    waypoints = Waypoints.of_run(options.run, scale, options.episodes)
+    waypoints = Waypoints.from_run(options.run, scale, options.episodes, options.trust)
     waypoints.write(path, options.trajectories)
     for name, value in waypoints.about().items():
         print(f"{name.replace('_', ' ')}: {value}")
     kept, left = len(waypoints.episodes), len(waypoints.left_out)
-    print(
-        f"episodes: {kept}" + (f"; {left} that ended in a collision or outside the world are left out" if left else "")
-    )
+    print(f"episodes: {kept}" + (f"; {left} that ended in contact or outside the world are left out" if left else ""))
     print(f"waypoints: {path}")
     return 0
 

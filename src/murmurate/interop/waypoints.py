@@ -17,10 +17,9 @@ from jaxtyping import Float
 
 from murmurate.errors import GREATEST, InputError, RunError, check_number
 from murmurate.geometry import any_outside, closest_approach
-from murmurate.runs import experiment as configuration
-from murmurate.runs import storage
-from murmurate.runs.evaluate import TRAJECTORIES
+from murmurate.runs import files
 from murmurate.runs.experiment import ExperimentConfig
+from murmurate.runs.folder import RunFolder
 
 __all__ = ["FORMATS", "Format", "Scale", "Waypoints"]
 
@@ -64,10 +63,10 @@ class Waypoints:
     Attributes:
         experiment: The run's experiment.
         scale: The scales.
-        episodes: Places of the episodes in the run's evaluation.
-        times: Time of every waypoint, seconds, likewise.
+        episodes: Indices of the episodes in the run's evaluation.
+        times: Time of every waypoint, seconds, one array for each episode.
         positions: Centres, metres, one array for each episode.
-        left_out: Episodes that are left out, as they ended in a collision or outside the world.
+        left_out: Episodes that are left out, as they ended in contact or outside the world.
     """
 
     experiment: ExperimentConfig
@@ -78,30 +77,30 @@ class Waypoints:
     left_out: tuple[int, ...]
 
     @classmethod
-    def of_run(cls, folder: str | Path, scale: Scale, episodes: int | None = None) -> Waypoints:
+    def from_run(cls, folder: str | Path, scale: Scale, episodes: int | None = None, trust: bool = False) -> Waypoints:
         """Reads the episodes that a run recorded.
 
         Args:
             folder: The run folder.
             scale: The scales.
-            episodes: How many to take; None: all of them.
+            episodes: Number of episodes to take; None: all of them.
+            trust: Whether modules that the run's configuration names may be imported.
 
         Raises:
             RunError: The folder is missing, unfinished or damaged, or no episode can be followed.
             InputError: There are not as many episodes, or the robots of `scale` cannot follow.
         """
-        folder = Path(folder)
-        storage.verify(folder, storage.read_manifest(folder))
-        experiment = configuration.load(folder)
-        arrays = storage.read_npz(folder / TRAJECTORIES)
-        positions, lengths = arrays["positions"].astype(float), arrays["lengths"]
+        run = RunFolder(folder)
+        run.verify()
+        experiment, trajectories = run.experiment(trust), run.trajectories()
+        positions, lengths = trajectories.positions.astype(float), trajectories.lengths
         if episodes is not None:
             check_number("--episodes", episodes, 1, len(positions), integer=True)
         chosen = range(len(positions) if episodes is None else episodes)
-        kept = [place for place in chosen if _passable(positions[place], experiment)]
+        kept = [index for index in chosen if _is_passable(positions[index], experiment)]
         if not kept:
-            raise RunError(f"{folder}: every one of {len(chosen)} episodes ended in a collision or outside the world")
-        points = [np.round(scale.metres * positions[place, : lengths[place] + 1], DIGITS) for place in kept]
+            raise RunError(f"{folder}: every one of {len(chosen)} episodes ended in contact or outside the world")
+        points = [np.round(scale.metres * positions[index, : lengths[index] + 1], DIGITS) for index in kept]
         times = [np.round(scale.seconds * np.arange(len(each)), DIGITS) for each in points]
         left_out = tuple(sorted(set(chosen) - set(kept)))
         scaled = cls(experiment, scale, tuple(kept), tuple(times), tuple(points), left_out)
@@ -155,7 +154,7 @@ class Waypoints:
         Raises:
             RunError: The file cannot be written.
         """
-        storage.write_text(path, self.as_csv() if kind == "csv" else storage.to_json(self.as_dict()) + "\n")
+        files.write_text(path, self.as_csv() if kind == "csv" else files.to_json(self.as_dict()) + "\n")
 
     def about(self) -> dict[str, Any]:
         """Returns the scales, and what holds of the waypoints."""
@@ -203,7 +202,7 @@ class Waypoints:
         return [np.diff(points, axis=0) / np.diff(times)[:, None, None] for points, times in pairs]
 
 
-def _passable(positions: Float[np.ndarray, "configurations robots 2"], experiment: ExperimentConfig) -> bool:
+def _is_passable(positions: Float[np.ndarray, "configurations robots 2"], experiment: ExperimentConfig) -> bool:
     world = experiment.world
     inside = ~any_outside(positions, world.half_width, world.half_height).any()
     return bool(

@@ -104,7 +104,3 @@ def _identity(manifest: Mapping[str, Any], summary: Mapping[str, Any]) -> str:
     starts = "fresh" if is_fresh(summary) else summary["starts"]
     evaluation = [manifest["checksums"], starts, summary.get("seed"), summary["episodes"]]
     return hashlib.sha256(json.dumps(evaluation, sort_keys=True).encode()).hexdigest()[:16]
-
-
-# Old names, for modules that are not ported yet
-look, findings, save = check_target, read_findings, write

@@ -144,6 +144,12 @@ class Evaluation:
         steps = self.trajectories.lengths.mean()
         return f"Evaluation({self.experiment.name}: {valid} of {episodes} episodes valid, {steps:.1f} steps)"
 
+    def _repr_png_(self) -> bytes:
+        """Returns the formation of the typical pattern, which notebooks show."""
+        from murmurate.plots import Recording  # figures are drawn from evaluations
+
+        return Recording(self.experiment, self.trajectories)._repr_png_()
+
 
 def evaluate(
     run: Run,
@@ -187,9 +193,3 @@ def wilson(successes: int, trials: int, z: float = 1.96) -> tuple[float, float]:
     center = (share + squared / 2) / (1 + squared)
     half = math.sqrt(share * (1 - share) * squared + squared * squared / 4) / (1 + squared)
     return max(0.0, center - half), min(1.0, center + half)
-
-
-# Old names, for modules that are not ported yet
-from murmurate.runs.folder import EVALUATION, RECORD, TRAJECTORIES  # noqa: E402, F401
-
-FRESH = {"kind": "fresh"}

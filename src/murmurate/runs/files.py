@@ -244,16 +244,26 @@ def append_rows(path: str | Path, rows: Iterable[Mapping[str, Any]]) -> None:
             raise
 
 
-def read_rows(path: str | Path) -> list[dict[str, Any]]:
+def read_rows(path: str | Path, offset: int = 0) -> tuple[list[dict[str, Any]], int]:
     """Reads a file of `append_rows`; a missing file has no rows, and a last line without its end is left out.
+
+    Args:
+        path: The file.
+        offset: Bytes at its beginning to leave out, as an earlier call returned them.
+
+    Returns:
+        The rows, and the offset behind them.
 
     Raises:
         RunError: A line is not a JSON object, or the file cannot be read.
     """
+    rows: list[dict[str, Any]] = []
     if not Path(path).exists():
-        return []
-    rows = []
-    for number, line in enumerate(read_bytes(path).splitlines(keepends=True), 1):
+        return rows, offset
+    with os_errors_as_run_errors(f"cannot read {path}"), Path(path).open("rb") as file:
+        file.seek(offset)
+        lines = file.readlines()
+    for number, line in enumerate(lines, 1):
         if not line.endswith(b"\n"):  # the process was killed here
             break
         try:
@@ -261,9 +271,10 @@ def read_rows(path: str | Path) -> list[dict[str, Any]]:
         except (ValueError, RecursionError):
             row = None
         if not isinstance(row, dict):
-            raise RunError(f"{path} is damaged: line {number} is not a JSON object")
+            behind = f" behind byte {offset}" if offset else ""
+            raise RunError(f"{path} is damaged: line {number}{behind} is not a JSON object")
         rows.append(row)
-    return rows
+    return rows, offset + sum(map(len, lines[: len(rows)]))
 
 
 def truncate_rows(path: str | Path, count: int) -> None:

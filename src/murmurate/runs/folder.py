@@ -369,13 +369,25 @@ class RunFolder:
         Raises:
             RunError: The file is damaged.
         """
-        path, rows = self.path / METRICS, files.read_rows(self.path / METRICS)
+        return self.new_metrics(0)[0]
+
+    def new_metrics(self, offset: int) -> tuple[list[dict[str, Any]], int]:
+        """Reads the rows of metrics behind an offset in the file, as `files.read_rows` does.
+
+        Returns:
+            The rows, and the offset behind them.
+
+        Raises:
+            RunError: The file is damaged.
+        """
+        path = self.path / METRICS
+        rows, end = files.read_rows(path, offset)
         for number, row in enumerate(rows, 1):
             signals = row.get("signals")
             numbers = [row.get("policy"), row.get("update"), row.get("environment_steps")]
             if not all(_is_number(value) for value in numbers) or not isinstance(signals, dict):
                 raise RunError(f"{path} is damaged: line {number} is not a row of metrics")
-        return rows
+        return rows, end
 
     def append_metrics(self, rows: Iterable[Mapping[str, Any]]) -> None:
         """Appends rows of metrics, all of them or none."""

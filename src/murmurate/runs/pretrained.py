@@ -8,8 +8,8 @@ from pathlib import Path
 import murmurate
 from murmurate.errors import check_choice
 from murmurate.runs.comparison import SCHEDULERS, SENSINGS
+from murmurate.runs.folder import MANIFEST
 from murmurate.runs.run import Run
-from murmurate.runs.storage import MANIFEST
 
 __all__ = ["FOLDER", "available", "pretrained"]
 

@@ -25,6 +25,9 @@ __all__ = ["MAX_EPISODES", "Run", "check_draw", "rollout_seed"]
 MAX_EPISODES = 10_000
 """Episodes of one rollout, at most: all of their positions are held in memory."""
 
+PICTURE_EPISODES = 20
+"""Episodes of which a picture shows the typical one."""
+
 # Training folds a policy's place in the list into its seed; no list is so long that it ever draws the same numbers.
 _HELD_OUT = 2**31
 
@@ -171,6 +174,16 @@ class Run:
         experiment, count = self.experiment, len(self.cascade.policies)
         policies = f"{count} {experiment.policy.name} {'policy' if count == 1 else 'policies'}"
         return f"Run({experiment.name}: {experiment.world.robots} robots, {experiment.objective}, {policies})"
+
+    def _repr_png_(self) -> bytes:
+        """Returns a picture, which notebooks show: the discovery, or the formation of a pattern if none is recorded."""
+        from murmurate import plots  # figures are drawn from runs
+
+        folder = RunFolder(self.folder)
+        # The folder is that of another experiment where `of_size` or `under` changed this one.
+        if folder.evaluation_files[1].is_file() and folder.experiment() == self.experiment:
+            return plots.png(plots.discovery_figure(plots.Recording.open(folder)), dpi=110)
+        return plots.Recording(self.experiment, self.rollout(PICTURE_EPISODES))._repr_png_()
 
 
 def check_draw(episodes: int, key: int | PRNGKeyArray) -> None:

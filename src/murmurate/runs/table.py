@@ -122,11 +122,6 @@ def _result(folder: RunFolder, trust: bool) -> Row:
     )
 
 
-def read_evaluation(folder: str | Path) -> dict[str, Any]:
-    """Reads evaluation.json; use `RunFolder.evaluation`."""
-    return RunFolder(folder).evaluation()
-
-
 def paper_total(row: PaperExperiment) -> str:
     """Writes the paper's total steps; where the printed total is not the sum of its parts, both."""
     if row.total_steps == row.summed_steps:

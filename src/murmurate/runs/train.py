@@ -401,8 +401,3 @@ def _cpu_name() -> str:
             if name.strip() == "model name":
                 return value.strip()
     return platform.processor() or platform.machine()
-
-
-# Old names, for modules that are not ported yet
-VALID = "valid patterns discovered"
-NOTHING_VALID = "no valid pattern was discovered"
