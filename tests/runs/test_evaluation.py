@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
-from murmurate.analysis import best_known
+from murmurate.analysis.optimum import best_known
 from murmurate.analysis.optimum.best_known import BestKnown
 from murmurate.discovery import Trajectories, Validity
 from murmurate.runs import storage
