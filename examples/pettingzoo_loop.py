@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from murmurate.interop.pettingzoo import parallel_env
-from murmurate.world import SensingConfig
+from murmurate.world import VisibleSensing
 
 COMFORTABLE = 6.0
 """Distance that a robot likes to keep, world units."""
@@ -28,7 +28,7 @@ def velocity(rows: np.ndarray) -> np.ndarray:
 def main(robots: int = 6, horizon: int = 200, seed: int = 0) -> float:
     """Plays one episode; returns the reward that all agents shared."""
     # Nobody knows where north is, and who is hidden is not seen.
-    sensing = SensingConfig(kind="visible", rotation=True)
+    sensing = VisibleSensing(rotation=True)
     env = parallel_env(robots=robots, objective="C1", sensing=sensing, horizon=horizon)
     observations, infos = env.reset(seed=seed)
     total, steps = 0.0, 0

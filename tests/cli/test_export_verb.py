@@ -7,7 +7,7 @@ import sys
 import numpy as np
 import pytest
 
-from murmurate import adapters
+from murmurate import interop
 from murmurate.cli.main import main
 
 pytestmark = pytest.mark.filterwarnings("ignore:::(jax2onnx|onnx|onnx_ir|flax|orbax|google).*")
@@ -80,7 +80,7 @@ def test_wrong_words_are_one_line_and_write_nothing(discovered, tmp_path, monkey
 def test_a_missing_extra_says_how_to_install_it(discovered, tmp_path, monkeypatch, capsys):
     for name in [name for name in sys.modules if name.startswith("murmurate.interop.onnx")]:
         monkeypatch.delitem(sys.modules, name)
-    monkeypatch.delattr(adapters, "onnx", raising=False)
+    monkeypatch.delattr(interop, "onnx", raising=False)
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
     words = ["export", str(discovered), "--onnx", "--out", str(tmp_path / "x.onnx")]
     assert 'pip install "murmurate[onnx]"' in complaint(capsys, words)

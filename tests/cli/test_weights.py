@@ -30,7 +30,7 @@ def test_the_weights_are_small_and_whole():
     for objective, sensings in pretrained.available().items():
         for sensing in sensings:
             run = murmurate.pretrained(objective, sensing)
-            assert (run.experiment.objective, run.experiment.sensing.kind) == (objective, sensing)
+            assert (run.experiment.objective, run.experiment.sensing.name) == (objective, sensing)
             assert run.experiment.sensing.rotation
             assert run.experiment.sensing.reflection
             assert set(run.experiment.sizes) <= set(range(3, 29))
@@ -39,7 +39,7 @@ def test_the_weights_are_small_and_whole():
 def test_damaged_weights_are_refused(tmp_path, monkeypatch):
     run = murmurate.pretrained()
     run.save(tmp_path / "C2" / "visible")
-    monkeypatch.setattr(weights, "FOLDER", tmp_path)
+    monkeypatch.setattr(pretrained, "FOLDER", tmp_path)
     assert pretrained.available() == {"C2": ("visible",)}
     file = tmp_path / "C2" / "visible" / "policies" / "0-base.safetensors"
     file.write_bytes(file.read_bytes()[:-1] + b"\0")
@@ -61,7 +61,7 @@ def test_they_form_patterns_at_once(objective, sensing):
 
 def test_a_scheduler_may_be_chosen():
     run = murmurate.pretrained(scheduler="async")
-    assert run.experiment.scheduler.kind == "async"
+    assert run.experiment.scheduler.name == "async"
     assert (run.rollout(4).epochs < run.rollout(4).lengths).all()
 
 
@@ -203,5 +203,5 @@ def test_a_policy_without_eyes_is_not_compared(discovered, tmp_path, capsys):
     refused(
         capsys,
         ["compare", discovered, "--out", tmp_path / "c"],
-        "policy.kind = 'central': must be local",
+        "policy.use = 'central': must be local",
     )

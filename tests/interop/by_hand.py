@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from murmurate.world import StartConfig, World, WorldConfig, make_start
+from murmurate.world import UniformStart, World, WorldConfig
 
 SIZES = {"half_width": 12.0, "half_height": 10.0, "scan_radius": 9.0, "safe_distance": 4.0, "max_speed": 0.5}
 CONFIG = WorldConfig(robots=3, **SIZES)
@@ -19,8 +19,7 @@ signals_of = jax.jit(World.signals)
 
 
 def world(objective="C1", horizon=400, by_robot=False):
-    start = make_start(StartConfig(kind="random"), CONFIG)
-    return jax.tree.map(jnp.asarray, World.create(CONFIG, start, objective, None, horizon, by_robot))
+    return jax.tree.map(jnp.asarray, World.create(CONFIG, UniformStart(), objective, None, horizon, by_robot))
 
 
 def played(world, positions, velocities):

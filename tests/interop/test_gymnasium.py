@@ -16,7 +16,7 @@ from matplotlib import pyplot
 import murmurate.interop.gymnasium as adapter
 from murmurate.errors import InputError
 from murmurate.geometry import neighbors_and_visible
-from murmurate.world import StartConfig, WeightsConfig, WorldConfig, scaled_to
+from murmurate.world import ScatteredStart, WorldConfig, scaled_to
 
 
 def make(**options):
@@ -122,7 +122,7 @@ def test_an_episode_is_the_worlds(scale, objective):
 
 
 def test_weights_count():
-    weights = WeightsConfig(gathering=0.0, safety=0.0, neighbors=0.0, visible=0.0)
+    weights = dict.fromkeys(("close", "safety", "neighbors", "visible"), 0.0)
     env = make(weights=weights)
     at(env)
     assert env.step(np.ones((3, 2)))[1] == 0
@@ -253,9 +253,9 @@ def test_sizes_grow_with_the_swarm_unless_they_are_given():
 
 
 def test_starts_are_chosen_by_name_or_in_full():
-    ends = [env.reset(seed=0)[0] for env in (bare(start="scattered"), bare(start=StartConfig("scattered")))]
+    ends = [env.reset(seed=0)[0] for env in (bare(start="scattered"), bare(start=ScatteredStart()))]
     np.testing.assert_array_equal(*ends)
-    still = bare(start=StartConfig("scattered", noise=0.0)).reset(seed=0)[0]
+    still = bare(start=ScatteredStart(noise=0.0)).reset(seed=0)[0]
     close(np.linalg.norm(still, axis=1), 10.0)
 
 
@@ -269,7 +269,7 @@ def test_starts_are_chosen_by_name_or_in_full():
         ({"objective": "C3"}, "objective", "C1, C2"),
         ({"start": "anywhere"}, "start", "random"),
         ({"start": "file"}, "start", "random"),
-        ({"weights": 3}, "weights", "WeightsConfig"),
+        ({"weights": 3}, "weights", "a mapping"),
         ({"horizon": 0}, "horizon", ">= 1"),
         ({"observations": "pixels"}, "observations", "sensing"),
         ({"action_scale": 2.0}, "action_scale", "unit, world"),

@@ -12,7 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from murmurate.discovery import Discovery
+from murmurate.discovery import build_cascade, build_networks
+from murmurate.discovery.stage import draw_key
 from murmurate.errors import InputError
 from murmurate.geometry import visible
 from murmurate.runs import presets
@@ -37,9 +38,8 @@ def untrained(kind, policies=2, objective="C2", seed=0, factor=1, walls=False):
     hidden = {"policy": {"kind": kind, "hidden": [12, 8]}, "rest": REST, "seed": seed}
     eyes = {"sensing": {"kind": "visible", "rotation": True, "walls": walls}} if kind == "local" else {}
     config = presets.resolve("F", {"objective": objective, "world": world, "start": {"kind": "random"}}, hidden, eyes)
-    discovery = Discovery(config)
-    chosen = [discovery.networks(index)[0] for index in range(policies)]
-    return Run(Path("untrained"), config, discovery.cascade(tuple(_louder(policy, factor) for policy in chosen)), {})
+    chosen = [build_networks(config, draw_key(config, index, "networks"))[0] for index in range(policies)]
+    return Run(Path("untrained"), config, build_cascade(config, [_louder(policy, factor) for policy in chosen]), {})
 
 
 def _louder(policy, factor):
@@ -121,8 +121,9 @@ def test_a_robot_with_its_own_eyes_moves_by_its_model_as_in_the_world(objective,
     model = onnx.export(run)
     assert model.difference(run, 200) < onnx.TOLERANCE
     starts = run.starts(40, 1)
-    state = run.world.state(jnp.moveaxis(jnp.asarray(starts), 0, -1), 0)
-    expected = np.moveaxis(np.asarray(run.cascade.policies[0](run.world.observe(state))), -1, 0)
+    env = run.cascade.env
+    state = env.state(jnp.moveaxis(jnp.asarray(starts), 0, -1), 0)
+    expected = np.moveaxis(np.asarray(run.cascade.policies[0](env.observe(state))), -1, 0)
     seen = np.moveaxis(visible(np.moveaxis(starts.astype(float), 0, -1), 1.0, 100.0), -1, 0)
     assert not seen[:, ~np.eye(ROBOTS, dtype=bool)].all()
     cos, sin = (np.asarray(a).T for a in (state.frames.cos, state.frames.sin))

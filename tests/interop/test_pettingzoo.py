@@ -15,7 +15,7 @@ from pettingzoo.utils import parallel_to_aec
 from murmurate.errors import InputError
 from murmurate.geometry import neighbors_and_visible
 from murmurate.interop.pettingzoo import parallel_env
-from murmurate.world import LocalObservation, SensingConfig
+from murmurate.world import GlobalSensing, LocalObservation, VisibleSensing
 
 NAMES = ["robot_0", "robot_1", "robot_2"]
 ROW = np.array([[-5.0, 0.0], [-1.0, 0.0], [4.0, 0.25]], np.float32)
@@ -43,15 +43,14 @@ def one_by_one(velocities):
     return dict(zip(NAMES, velocities, strict=True))
 
 
-ROUGH = SensingConfig(
-    kind="visible",
+ROUGH = VisibleSensing(
     rotation=True,
     reflection=True,
-    unit=2.0,
-    redrawn=True,
+    unit_ratio=2.0,
+    resample_frames=True,
     range_noise=0.1,
     bearing_noise=0.1,
-    missed=0.2,
+    miss_probability=0.2,
 )
 
 
@@ -102,13 +101,13 @@ def test_agents_perceive_as_their_sensing_says(kind):
 
 
 def test_without_a_landmark_nobody_is_told_where_to_gather():
-    for options in ({"objective": "C2"}, {"sensing": SensingConfig(landmark=False)}):
+    for options in ({"objective": "C2"}, {"sensing": GlobalSensing(landmark=False)}):
         env = make(**options)
         assert env.observation_space("robot_0").shape == at(env)[0]["robot_0"].shape == (2, 3)
 
 
 def test_walls_are_shown_where_they_are_perceived():
-    env = make(sensing=SensingConfig(walls=True), half_width=20.0, half_height=15.0)
+    env = make(sensing=GlobalSensing(walls=True), half_width=20.0, half_height=15.0)
     observations, _ = at(env)
     for name, (x, y) in zip(NAMES, TRIANGLE, strict=True):
         assert env.observation_space(name).contains(observations[name])
@@ -116,7 +115,7 @@ def test_walls_are_shown_where_they_are_perceived():
 
 
 def test_frames_are_the_robots_own():
-    sensing = SensingConfig(rotation=True, reflection=True, unit=3.0)
+    sensing = GlobalSensing(rotation=True, reflection=True, unit_ratio=3.0)
     env = make(sensing=sensing)
     observations, _ = at(env)
     angles = []
@@ -137,7 +136,7 @@ def test_frames_are_the_robots_own():
 
 def test_velocities_are_in_the_robots_own_frames():
     # Towards the landmark, wherever it seems to be, is towards the origin.
-    env = make(sensing=SensingConfig(rotation=True, reflection=True), action_scale="world")
+    env = make(sensing=GlobalSensing(rotation=True, reflection=True), action_scale="world")
     observations, _ = at(env)
     towards = {name: 0.4 * rows[2, :2] / np.linalg.norm(rows[2, :2]) for name, rows in observations.items()}
     env.step(towards)
@@ -146,7 +145,7 @@ def test_velocities_are_in_the_robots_own_frames():
 
 def test_an_episode_is_that_of_a_perceived_world():
     env = make(sensing=ROUGH, objective="C2", horizon=6)
-    twin = jax.tree.map(jnp.asarray, LocalObservation(world("C2", 6), world("C2", 6), ROUGH))
+    twin = jax.tree.map(jnp.asarray, LocalObservation(world("C2", 6), ROUGH, CONFIG))
     at(env, seed=7)
     # What the seed of an episode becomes, by hand.
     seed = np.random.default_rng(7).integers(2**32, size=2, dtype=np.uint32)[1]

@@ -428,6 +428,7 @@ def _read_rows(path: Path, settings: Mapping[str, Any]) -> dict[Condition, dict[
         raise RunError(f"{path} is damaged: a row lacks {error}") from None
 
 
+@prng.reproducible()
 def _evaluate(comparison: Comparison, condition: Condition, policies: tuple[Any, ...]) -> dict[str, Any]:
     """Runs a method under one condition, and returns its row of the table."""
     problem = comparison.problem(condition)
