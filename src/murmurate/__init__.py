@@ -26,6 +26,9 @@ def load(run: str | Path) -> Run:
     Raises:
         RunError: The folder is missing, unfinished, damaged or of an unknown version.
     """
+    from murmurate import compilation_cache
+
+    compilation_cache.configure()
     from murmurate.runs.run import Run  # only now, because it loads JAX
 
     return Run.open(run)
@@ -46,6 +49,9 @@ def pretrained(objective: str = "C2", sensing: str = "visible", scheduler: str =
     Raises:
         InputError: There are no such weights; the message lists those that there are.
     """
-    from murmurate.runs import pretrained
+    from murmurate import compilation_cache
+
+    compilation_cache.configure()
+    from murmurate.runs import pretrained  # only now, because it loads JAX
 
     return pretrained.pretrained(objective, sensing, scheduler)
