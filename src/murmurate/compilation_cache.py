@@ -1,6 +1,6 @@
 """Keeps compiled programs on disk, so that a program is compiled once on a machine and not once in every process.
 
-JAX has such a cache and leaves it off. `configure` switches it on, in the folder for caches of the platform. The results
+JAX has such a cache and leaves it off. `configure` switches it on, in the folder for caches of the platform. Results
 are the same with it and without.
 
 The environment variable MURMURATE_CACHE moves the cache to another folder; `off` switches it off. Where the user has
