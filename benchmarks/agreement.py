@@ -20,7 +20,7 @@ import jax
 import numpy as np
 
 from benchmarks.cases import Size, chunk, scattered, sized
-from murmurate.geometry import touches, visible
+from murmurate.geometry import _batch_last
 from murmurate.learning import train_chunk
 from murmurate.runs.table import as_markdown
 
@@ -57,9 +57,9 @@ def _rows(device: jax.Device) -> Iterator[tuple[Any, ...]]:
         positions = (positions * rng.uniform(0.3, 1.0, (1, 1, worlds))).astype(np.float32)
         velocities = rng.uniform(-1, 1, positions.shape).astype(np.float32)
         radius, far = float(world.config.radius), float(world.config.scan_radius)
-        seen = _both(device, lambda x, r=radius, far=far: visible(x, r, far), positions)
+        seen = _both(device, lambda x, r=radius, far=far: _batch_last.visible(x, r, far), positions)
         yield _flags("who sees whom", robots, *seen)
-        met = _both(device, lambda x, v, r=radius: touches(x, v, r), positions, velocities)
+        met = _both(device, lambda x, v, r=radius: _batch_last.in_contact(x, v, r), positions, velocities)
         yield _flags("who touches", robots, *met)
         yield _numbers("signals", robots, *_both(device, lambda world, x: world.signals(x), world, positions))
     for kind in ("equivariant", "central"):

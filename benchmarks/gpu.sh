@@ -1,10 +1,10 @@
 #!/usr/bin/env bash
-# Everything that is to be known of one GPU: whether it computes what the CPU does, how fast world and training are, what
-# memory they take, and how long each of experiments A to F takes to discover. Half an hour, most of it discovering.
+# Measures one GPU: whether it computes what the CPU does, the speed and the memory of world and training, and the time to
+# discover each of experiments A to F. Takes half an hour, most of it for the discoveries.
 #
 #   CUDA=cuda12 OUT=runs/gpu benchmarks/gpu.sh        (CUDA=cuda13 for newer drivers)
 #
-# Leaves $OUT/gpu.md (all tables), gpu.json, gpu.png and a run folder for each experiment. Goes on where it was interrupted.
+# Leaves $OUT/gpu.md (all tables), gpu.json, gpu.png and a run folder for each experiment. Continues where it was interrupted.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 CUDA=${CUDA:-cuda12}
@@ -27,7 +27,7 @@ print(f"{jax.devices()[0].device_kind}, {jax.device_count()} of them; jax {jax._
 sys.exit(jax.default_backend() != "gpu")
 PYTHON
 export CUDA_VISIBLE_DEVICES=${CUDA_VISIBLE_DEVICES:-0}
-# Peak memory is measured in processes beside the one that measures speed: none may take most of the device at once.
+# Peak memory is measured in other processes, so none may reserve most of the device's memory.
 export XLA_PYTHON_CLIENT_PREALLOCATE=false
 mkdir -p "$OUT"
 AGREES=yes

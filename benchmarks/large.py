@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from benchmarks.measure import Case, measure
-from murmurate.geometry import visibility
+from murmurate.geometry._batch_last import visibility
 from murmurate.world import UniformStart, World, WorldConfig
 
 SIZES = (32, 64, 128, 256, 512, 1000, 1024)
@@ -48,9 +48,9 @@ def directly(robots: int) -> Callable[[], Any]:
 
     @jax.jit
     def program(positions: Any) -> Any:
-        xp, positions = visibility.as_configuration(positions)
-        sight = visibility.sight_of(xp, *visibility.offsets(xp, positions), RADIUS)
-        return visibility.directly(xp, sight)
+        xp, positions = visibility.as_floating(positions)
+        intervals = visibility.angular_intervals(xp, *visibility.offsets(xp, positions), RADIUS)
+        return visibility.occluded_pairwise(xp, intervals)
 
     return lambda: program(positions)
 

@@ -63,7 +63,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--robots", type=int, nargs=2, default=(2, 16), metavar=("FROM", "TO"))
     parser.add_argument("--seeds", type=int, nargs="+", default=[0])
-    parser.add_argument("--sweeps", type=int, default=AnnealingConfig.sweeps)
+    parser.add_argument("--moves_per_robot", type=int, default=AnnealingConfig.moves_per_robot)
     parser.add_argument("--polished", type=int, default=OptimumConfig.polished)
     parser.add_argument("--hops", type=int, default=60, help="rounds of basin hopping that check each entry")
     parser.add_argument("--families", nargs="+", default=FAMILIES)
@@ -90,14 +90,14 @@ def work(found: dict[str, BestKnown], experiment: str, robots: int, seed: int, o
     """Searches one place of the table, and checks what the table then has by basin hopping."""
     begun = time.perf_counter()
     sought, command = target(experiment, robots)
-    annealing = AnnealingConfig(sweeps=options.sweeps)
+    annealing = AnnealingConfig(moves_per_robot=options.moves_per_robot)
     config = OptimumConfig(sought.world, sought.objective, annealing=annealing, hops=options.hops, seed=seed)
     config = replace(config, polished=options.polished)
     command += f" --seed {seed}" if options.polished else " --polished 0"
     if options.polished and annealing != AnnealingConfig():
-        command += f" --annealing.sweeps {options.sweeps}"
+        command += f" --annealing.moves_per_robot {options.moves_per_robot}"
     optima = search(config)
-    best = BestKnown.of(sought, optima[0].positions, command)
+    best = BestKnown.from_target(sought, optima[0].positions, command)
     key = key_of(best)
     better = improve(found, key, best)
     parent = found.get(f"{key[:-2]}{robots + 1:02}")
@@ -105,7 +105,7 @@ def work(found: dict[str, BestKnown], experiment: str, robots: int, seed: int, o
         better |= improve(found, key, entry)
     checked = hop(config) if options.hops else None
     if checked and checked.valid:
-        entry = BestKnown.of(sought, checked.positions, f"{command} --hops {options.hops}")
+        entry = BestKnown.from_target(sought, checked.positions, f"{command} --hops {options.hops}")
         better |= improve(found, key, entry)
         reached = max(checked.value, found[key].hop or checked.value)
         found[key] = replace(found[key], hop=reached)
@@ -119,7 +119,7 @@ def heirs(parent: BestKnown, sought: Target) -> Iterator[BestKnown]:
     """Yields entries made of a pattern of one robot more, by leaving one of its robots out and polishing."""
     for robot in range(parent.robots):
         positions = polish(np.delete(parent.positions, robot, axis=0), sought)
-        yield BestKnown.of(sought, positions, "python -m benchmarks.optima")
+        yield BestKnown.from_target(sought, positions, "python -m benchmarks.optima")
 
 
 def write(found: dict[str, BestKnown]) -> None:

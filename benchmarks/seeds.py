@@ -57,14 +57,14 @@ def study(experiment: str, seeds: int, runs: Path) -> Study:
     """Sorts what the runs of one experiment discovered, anneals the same problem, and compares."""
     folders = [runs / f"{experiment}-equivariant-seed{seed}" for seed in range(seeds)]
     found = [finding for folder in folders for finding in catalogues.findings(folder)]
-    ours = Catalogue.of(found) if found else None
-    theirs = Catalogue.of(anneal(experiment))
+    ours = Catalogue.from_findings(found) if found else None
+    theirs = Catalogue.from_findings(anneal(experiment))
     if ours is None:
         return Study(experiment, None, theirs, (), (), theirs.classes)
     ends = [finding.positions for finding in theirs.findings]
     unseen = unmatched(ours, ends)
     tight = [finding for pattern in unseen if (finding := _polished(experiment, pattern)) is not None]
-    tightened = unmatched(Catalogue.of(tight), ends) if tight else ()
+    tightened = unmatched(Catalogue.from_findings(tight), ends) if tight else ()
     # By the same measure: the annealed classes of which no member is one of the runs' representatives.
     missed = tuple(
         pattern
@@ -137,7 +137,7 @@ def plate(robots: int, studies: Sequence[Study], path: Path) -> None:
     found = [finding for one in studies if one.catalogue for finding in one.catalogue.findings]
     if not found:
         return
-    everything = Catalogue.of(found)
+    everything = Catalogue.from_findings(found)
     commonest = sorted(everything.classes, key=lambda pattern: -pattern.count)[:MOST_DRAWN]
     shown = sorted(commonest, key=lambda pattern: everything.classes.index(pattern))
     subtitle = f"{len(everything.classes)} distinct among {len(found)} valid patterns; "

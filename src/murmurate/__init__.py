@@ -1,46 +1,186 @@
-"""Discovers collisionless patterns in swarms of fat, opaque robots by deep reinforcement learning."""
+"""Discovers collisionless patterns in swarms of fat, opaque robots by deep reinforcement learning.
+
+Names and submodules are imported when they are first used: `import murmurate` loads neither JAX nor NumPy.
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import importlib
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
+    from murmurate import (
+        analysis,
+        discovery,
+        errors,
+        geometry,
+        interop,
+        learning,
+        plots,
+        policies,
+        runs,
+        world,
+    )
+    from murmurate.discovery import Cascade, Validity, check_validity
+    from murmurate.errors import InputError, RunError, UsageError
+    from murmurate.policies import Policy, PolicyNetwork, Shield
+    from murmurate.runs.evaluate import Evaluation, evaluate
+    from murmurate.runs.experiment import ExperimentConfig
     from murmurate.runs.run import Run
-
-__all__ = ["__version__", "load", "pretrained"]
+    from murmurate.types import Trajectories
+    from murmurate.world import Configuration, Scheduler, Sensing, Signal, Start, World, WorldConfig
 
 __version__ = "0.1.0"
 
+_NAMES = {
+    "Cascade": "discovery",
+    "Configuration": "world",
+    "Evaluation": "runs.evaluate",
+    "ExperimentConfig": "runs.experiment",
+    "InputError": "errors",
+    "Policy": "policies",
+    "PolicyNetwork": "policies",
+    "Run": "runs.run",
+    "RunError": "errors",
+    "Scheduler": "world",
+    "Sensing": "world",
+    "Shield": "policies",
+    "Signal": "world",
+    "Start": "world",
+    "Trajectories": "types",
+    "UsageError": "errors",
+    "Validity": "discovery",
+    "World": "world",
+    "WorldConfig": "world",
+    "check_validity": "discovery",
+    "evaluate": "runs.evaluate",
+}
+"""The module of each public name."""
 
-def load(run: str | Path) -> Run:
+_MODULES = ("analysis", "discovery", "errors", "geometry", "interop", "learning", "plots", "policies", "runs", "world")
+
+__all__ = [
+    "Cascade",
+    "Configuration",
+    "Evaluation",
+    "ExperimentConfig",
+    "InputError",
+    "Policy",
+    "PolicyNetwork",
+    "Run",
+    "RunError",
+    "Scheduler",
+    "Sensing",
+    "Shield",
+    "Signal",
+    "Start",
+    "Trajectories",
+    "UsageError",
+    "Validity",
+    "World",
+    "WorldConfig",
+    "__version__",
+    "analysis",
+    "check_validity",
+    "discover",
+    "discovery",
+    "errors",
+    "evaluate",
+    "experiment",
+    "geometry",
+    "interop",
+    "learning",
+    "load",
+    "plots",
+    "policies",
+    "pretrained",
+    "runs",
+    "world",
+]
+
+
+def discover(
+    experiment: str | Path | ExperimentConfig,
+    *,
+    out: str | Path | None = None,
+    resume: bool = False,
+    on_progress: Callable[..., None] | None = None,
+    **fields: Any,
+) -> Run:
+    """Trains the policies of an experiment, evaluates them and leaves a run folder.
+
+    Args:
+        experiment: A to F (the paper's experiments), a TOML file, or a configuration.
+        out: The run folder, to be created; by default runs/NAME-POLICY-seedSEED.
+        resume: Continue what the folder holds; a finished run is only opened.
+        on_progress: Called as `on_progress(work, done, total, **values)` before and after every chunk of updates.
+        **fields: Fields of the experiment to replace: numbers, nested dictionaries, or strategies, such as `seed=1`,
+            `world={"robots": 6}`, `start="random"`, `start=MyStart()`, `signals={"calm": Calm(weight=0.5)}`.
+
+    Returns:
+        The finished run; `manifest["valid_pattern"]` says whether there was a valid pattern.
+
+    Raises:
+        InputError: The experiment is impossible; nothing has been written.
+        RunError: The folder holds another run, is damaged, in use or cannot be written to, or the training diverged.
+
+    Example:
+        >>> run = murmurate.discover("F", seed=1, base={"ppo": {"updates": 20}})  # doctest: +SKIP
+    """
+    from pathlib import Path
+
+    from murmurate import compilation_cache
+
+    compilation_cache.configure()
+    from murmurate.runs.train import discover as train  # only now, because it loads JAX
+
+    config = _resolve(experiment, fields)
+    folder = Path(out) if out is not None else Path("runs") / f"{config.name}-{_file_name(config)}-seed{config.seed}"
+    return train(config, folder, resume, on_progress)
+
+
+def experiment(name: str | Path | ExperimentConfig, **fields: Any) -> ExperimentConfig:
+    """Returns the configuration of an experiment with some fields replaced; see `discover`.
+
+    Raises:
+        InputError: The experiment or a field is unknown, or a value is not allowed.
+    """
+    return _resolve(name, fields)
+
+
+def load(folder: str | Path, trust: bool = False) -> Run:
     """Opens the folder of a finished run.
 
     Args:
-        run: The folder that `murmurate discover` wrote.
+        folder: The folder that `discover` or the command `murmurate discover` wrote.
+        trust: Whether modules from outside the package that the run names ("module:Class") may be imported, which
+            executes them. Nothing else in a run folder is ever executed.
 
     Returns:
         The run: its experiment, world and cascade, and `rollout(starts, key)`.
 
     Raises:
-        RunError: The folder is missing, unfinished, damaged or of an unknown version.
+        RunError: The folder is missing, unfinished, damaged or of an unknown version, or names modules and is not
+            trusted.
     """
     from murmurate import compilation_cache
 
     compilation_cache.configure()
     from murmurate.runs.run import Run  # only now, because it loads JAX
 
-    return Run.open(run)
+    return Run.open(folder, trust)
 
 
 def pretrained(objective: str = "C2", sensing: str = "visible", scheduler: str = "fsync") -> Run:
-    """Opens weights that come with the package: one policy for swarms of any size, trained without further ado.
+    """Opens weights that come with the package: one policy for swarms of any size, ready to use.
 
     Args:
         objective: C2 (gathering anywhere) or C1 (gathering at the origin, which a landmark marks for all).
-        sensing: What robots perceive, in frames of their own: visible (whom nobody hides), global (everybody), chiral
-            (whom nobody hides, with a common handedness) or noisy (whom nobody hides, not quite where they are).
+        sensing: What robots perceive, in frames of their own: visible (fully visible robots), global (all robots),
+            chiral (visible, with a common handedness) or noisy (visible, with noise).
         scheduler: When they move: fsync, ssync, adversarial, async or async-nonrigid.
 
     Returns:
@@ -52,6 +192,34 @@ def pretrained(objective: str = "C2", sensing: str = "visible", scheduler: str =
     from murmurate import compilation_cache
 
     compilation_cache.configure()
-    from murmurate.runs import pretrained  # only now, because it loads JAX
+    from murmurate.runs import pretrained as weights  # only now, because it loads JAX
 
-    return pretrained.pretrained(objective, sensing, scheduler)
+    return weights.pretrained(objective, sensing, scheduler)
+
+
+def _resolve(experiment: str | Path | ExperimentConfig, fields: dict[str, Any]) -> ExperimentConfig:
+    from pathlib import Path
+
+    from murmurate.runs import config_io, presets
+
+    dotted = {name: value for name, value in fields.items() if "." in name}
+    plain = {name: value for name, value in fields.items() if "." not in name}
+    overlay = config_io.merged(plain, config_io.nested(dotted))
+    return presets.resolve(experiment, overlay, folders=[Path.cwd()])
+
+
+def _file_name(config: ExperimentConfig) -> str:
+    """Returns the policy's name as part of a folder's name."""
+    return config.policy.name.replace(":", ".")
+
+
+def __getattr__(name: str) -> Any:
+    if name in _MODULES:
+        return importlib.import_module(f"murmurate.{name}")
+    if name in _NAMES:
+        return getattr(importlib.import_module(f"murmurate.{_NAMES[name]}"), name)
+    raise AttributeError(f"module 'murmurate' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -14,7 +14,7 @@ import importlib
 import importlib.util
 import inspect
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import ModuleType
 from typing import Any, ClassVar, TypeVar
@@ -104,13 +104,12 @@ class Importer:
 
     Attributes:
         folders: Folders in which modules are looked for before the Python path.
-        trusted: Whether modules from outside the package may be imported: importing one executes it.
-        imported: Classes that are imported already, by what configurations call them: these are always allowed.
+        trusted: Whether modules from outside the package may be imported: importing one executes it. Classes that this
+            process has imported already are always found.
     """
 
     folders: tuple[Path, ...] = ()
     trusted: bool = True
-    imported: Mapping[str, type[Strategy]] = dataclasses.field(default_factory=dict)
 
     def find(self, kind: type[S], use: object, field: str) -> type[S]:
         """Returns the class that a configuration names.
@@ -132,10 +131,12 @@ class Importer:
             hint = suggestion(use, known) if isinstance(use, str) else ""
             raise InputError(field, use, f'one of {names}, or "module:Class"{hint}')
         wanted = f"a class murmurate.{kind.__name__} as module:Class"
-        imported = self.imported.get(str(use))
-        if imported is not None and issubclass(imported, kind):
-            return imported
         if not self.trusted:
+            # Nothing is executed to find a class of a module that this process has imported already.
+            loaded = getattr(sys.modules.get(module), attribute, None)
+            for imported in (*(cls for cls, spelling in _spellings.items() if spelling == use), loaded):
+                if inspect.isclass(imported) and issubclass(imported, kind):
+                    return imported
             allowed = "trusted before it is imported: load(run, trust=True), or --trust"
             raise InputError(field, use, f"{allowed} ({wanted})")
         try:

@@ -14,7 +14,6 @@ from murmurate.analysis.optimum.formation import Target
 from murmurate.analysis.optimum.polish import polish
 from murmurate.errors import InputError
 from murmurate.runs.presets import preset
-from murmurate.world import WeightsConfig
 from oracles import signals, visibility
 
 TABLE = load()
@@ -81,7 +80,7 @@ def test_what_is_known_holds_at_any_scale():
 
 def test_where_nothing_is_known():
     world = preset("C").world
-    assert best_known(Target(world, "C1", WeightsConfig(visible=2.0))) is None
+    assert best_known(Target(world, "C1", {"visible": 2.0})) is None
     assert best_known(Target(replace(world, safety="shell"), "C1")) is None
     assert best_known(Target(replace(world, radius=0.9), "C1")) is None
     assert best_known(Target(replace(world, robots=40), "C1")) is None

@@ -91,7 +91,7 @@ FINDINGS = st.lists(
     min_size=1,
     max_size=5,
 )
-CATALOGUES = FINDINGS.map(Catalogue.of)
+CATALOGUES = FINDINGS.map(Catalogue.from_findings)
 
 
 def same(first, second):
@@ -103,8 +103,8 @@ def same(first, second):
 def test_the_order_of_the_findings_does_not_matter(findings, source):
     shuffled = list(findings)
     source.shuffle(shuffled)
-    assert same(Catalogue.of(shuffled), Catalogue.of(findings))
-    assert same(Catalogue.of(findings + shuffled), Catalogue.of(findings))
+    assert same(Catalogue.from_findings(shuffled), Catalogue.from_findings(findings))
+    assert same(Catalogue.from_findings(findings + shuffled), Catalogue.from_findings(findings))
 
 
 @settings(max_examples=40)
@@ -126,7 +126,7 @@ def test_a_file_loses_nothing(catalogue):
 
 def test_floats_are_the_same_after_a_file():
     points = np.random.default_rng(0).normal(size=(7, 2)).astype(np.float32) / 3
-    before = Catalogue.of([finding(points, value=np.float32(0.1), gap=1 / 3)])
+    before = Catalogue.from_findings([finding(points, value=np.float32(0.1), gap=1 / 3)])
     (after,) = Catalogue.from_dict(json.loads(json.dumps(before.to_dict()))).findings
     assert (after.positions == points.astype(float)).all()
     assert (after.value, after.gap) == (float(np.float32(0.1)), 1 / 3)
@@ -143,7 +143,7 @@ def test_classes_follow_the_rule(scaling, reflection):
         points = shape + rng.normal(size=(6, 2)) * rng.choice([0.01, 0.1])
         findings.append(finding(points, value=rng.uniform(), episode=episode))
     how = {"scaling": scaling, "reflection": reflection}
-    catalogue = Catalogue.of(random.Random(0).sample(findings, 40), tolerance=0.15, **how)
+    catalogue = Catalogue.from_findings(random.Random(0).sample(findings, 40), tolerance=0.15, **how)
     assert episodes(catalogue) == by_the_rule(findings, 0.15, **how)
     assert 4 <= len(catalogue.classes) < 30
     for pattern in catalogue.classes:
@@ -157,7 +157,7 @@ def test_noisy_patterns_of_each_kind_are_a_class():
         noisy(ring(10), 12, 0.02, start="packed"),
         noisy(around(10), 8, 0.02, seed=1, run="b", experiment="F"),
     )
-    catalogue = Catalogue.of(rings + others)
+    catalogue = Catalogue.from_findings(rings + others)
     by_layers = {pattern.layers: pattern for pattern in catalogue.classes}
     assert set(by_layers) == {(10,), (9, 1)}
     ten, nine = by_layers[(10,)], by_layers[(9, 1)]
@@ -177,21 +177,25 @@ def test_noisy_patterns_of_each_kind_are_a_class():
 def test_a_finding_joins_the_nearest_leader():
     """The third lies within the tolerance of both others: of the better one, too, but it is nearer to the worse."""
     shapes = [around(5) * [1.0, 1.0 + stretch] for stretch in (0.0, 0.30, 0.19)]
-    catalogue = Catalogue.of([finding(shape, 3.0 - n / 10, n) for n, shape in enumerate(shapes)], tolerance=0.1)
+    catalogue = Catalogue.from_findings(
+        [finding(shape, 3.0 - n / 10, n) for n, shape in enumerate(shapes)], tolerance=0.1
+    )
     assert distance(shapes[0], shapes[2]) < 0.1 < distance(shapes[0], shapes[1])
     assert episodes(catalogue) == [[0], [1, 2]]
 
 
 def test_what_was_found_twice_counts_once():
     one = finding(ring(5), 3.0, episode=4)
-    assert Catalogue.of([one, finding(ring(5), 2.0, episode=4)]).classes[0].members == (one,)
-    assert len(Catalogue.of([one, finding(ring(5), 3.0, episode=5)]).findings) == 2
-    assert len(Catalogue.of([one, finding(ring(5), 3.0, episode=4, run="another")]).findings) == 2
-    assert len(Catalogue.of([one, finding(2 * ring(5), 3.0, episode=4)]).findings) == 2
+    assert Catalogue.from_findings([one, finding(ring(5), 2.0, episode=4)]).classes[0].members == (one,)
+    assert len(Catalogue.from_findings([one, finding(ring(5), 3.0, episode=5)]).findings) == 2
+    assert len(Catalogue.from_findings([one, finding(ring(5), 3.0, episode=4, run="another")]).findings) == 2
+    assert len(Catalogue.from_findings([one, finding(2 * ring(5), 3.0, episode=4)]).findings) == 2
 
 
 def test_two_robots():
-    catalogue = Catalogue.of([finding(ring(2), 1.0), finding(3 * ring(2), 2.0), finding(np.ones((2, 2)), 0.0)])
+    catalogue = Catalogue.from_findings(
+        [finding(ring(2), 1.0), finding(3 * ring(2), 2.0), finding(np.ones((2, 2)), 0.0)]
+    )
     assert [pattern.count for pattern in catalogue.classes] == [2, 1]
     best = catalogue.classes[0]
     assert (best.symmetry.name, best.layers, best.margin) == ("D_2", (2,), math.inf)
@@ -200,26 +204,26 @@ def test_two_robots():
 def test_sizes_and_mirror_images_matter_if_one_says_so():
     scalene = np.array([[0.0, 0.0], [4.0, 0.0], [3.0, 2.0]])
     findings = [finding(scalene, episode=0), finding(scalene * [1, -1], episode=1), finding(2 * scalene, episode=2)]
-    assert len(Catalogue.of(findings).classes) == 1
-    assert len(Catalogue.of(findings, reflection=False).classes) == 2
-    assert len(Catalogue.of(findings, tolerance=0.5, scaling=False).classes) == 2
+    assert len(Catalogue.from_findings(findings).classes) == 1
+    assert len(Catalogue.from_findings(findings, reflection=False).classes) == 2
+    assert len(Catalogue.from_findings(findings, tolerance=0.5, scaling=False).classes) == 2
     with pytest.raises(InputError, match=r"^tolerance = None: must be given, in world units"):
-        Catalogue.of(findings, scaling=False)
+        Catalogue.from_findings(findings, scaling=False)
 
 
 def test_objectives_do_not_compare():
     findings = [finding(ring(5), 3.0, 0), finding(around(5), 4.0, 1, objective="C2")]
-    assert [pattern.representative.objective for pattern in Catalogue.of(findings).classes] == ["C1", "C2"]
+    assert [pattern.representative.objective for pattern in Catalogue.from_findings(findings).classes] == ["C1", "C2"]
 
 
 def test_the_tolerance_of_symmetry():
     findings = noisy(ring(8), 1, 0.02)
-    assert Catalogue.of(findings).classes[0].symmetry.name == "D_8"
-    assert Catalogue.of(findings, symmetry_tolerance=1e-4).classes[0].symmetry.name == "none"
+    assert Catalogue.from_findings(findings).classes[0].symmetry.name == "D_8"
+    assert Catalogue.from_findings(findings, symmetry_tolerance=1e-4).classes[0].symmetry.name == "none"
 
 
 def test_rows_are_a_csv_file():
-    catalogue = Catalogue.of([*noisy(around(10, 9.0), 3, 0.05, gap=0.25), finding(ring(10), 5.0, 9, seed=2)])
+    catalogue = Catalogue.from_findings([*noisy(around(10, 9.0), 3, 0.05, gap=0.25), finding(ring(10), 5.0, 9, seed=2)])
     text = io.StringIO()
     csv.writer(text).writerows(catalogue.rows())
     first, second = csv.DictReader(io.StringIO(text.getvalue()))
@@ -236,13 +240,13 @@ def test_rows_are_a_csv_file():
 
 def test_what_does_not_compare():
     with pytest.raises(InputError, match=r"^robots = \[5, 6\]: must be the same number in all findings"):
-        Catalogue.of([finding(ring(5)), finding(ring(6))])
+        Catalogue.from_findings([finding(ring(5)), finding(ring(6))])
     sizes = [finding(ring(5), radius=0.4), finding(ring(5), radius=1.0, safe_distance=7.0, episode=1)]
     with pytest.raises(InputError, match=r"^radius = \[0.4, 1.0\]: must be the same in all findings"):
-        Catalogue.of(sizes, tolerance=1.0, scaling=False)
-    assert len(Catalogue.of(sizes).classes) == 1
+        Catalogue.from_findings(sizes, tolerance=1.0, scaling=False)
+    assert len(Catalogue.from_findings(sizes).classes) == 1
     with pytest.raises(InputError, match=r"^findings = 0: must be one or more"):
-        Catalogue.of([])
+        Catalogue.from_findings([])
     with pytest.raises(InputError, match=r"^catalogues = 0"):
         merge([])
 
@@ -251,7 +255,7 @@ def test_what_does_not_compare():
 @pytest.mark.parametrize("bad", [0, -0.1, math.nan, math.inf, "near", True])
 def test_no_such_tolerance(name, bad: Any):
     with pytest.raises(InputError, match=rf"^{name} = "):
-        Catalogue.of([finding(ring(5))], **{name: bad})
+        Catalogue.from_findings([finding(ring(5))], **{name: bad})
 
 
 @pytest.mark.parametrize(
@@ -260,7 +264,7 @@ def test_no_such_tolerance(name, bad: Any):
 def test_catalogues_of_different_kinds_are_not_merged(name, value):
     ways: tuple[dict[str, Any], ...] = {"tolerance": 0.1}, {"tolerance": 0.1, name: value}
     with pytest.raises(InputError, match=rf"^{name} = {value}: must be .*, as in the first catalogue"):
-        merge(Catalogue.of([finding(ring(5))], **how) for how in ways)
+        merge(Catalogue.from_findings([finding(ring(5))], **how) for how in ways)
 
 
 BAD_VALUES = {
@@ -282,7 +286,7 @@ BAD_VALUES = {
 
 @pytest.mark.parametrize(("name", "bad"), [(name, bad) for name, values in BAD_VALUES.items() for bad in values])
 def test_a_strangers_finding_is_refused_in_one_line(name, bad):
-    data = Catalogue.of([finding(ring(4)), finding(around(4), episode=1)]).to_dict()
+    data = Catalogue.from_findings([finding(ring(4)), finding(around(4), episode=1)]).to_dict()
     data["findings"][1][name] = bad
     with pytest.raises(InputError) as refusal:
         Catalogue.from_dict(data)
@@ -316,7 +320,7 @@ BAD_FILES = [
 @pytest.mark.parametrize(("field", "broken"), BAD_FILES, ids=[field for field, _ in BAD_FILES])
 def test_a_strangers_file_is_refused_in_one_line(field, broken):
     with pytest.raises(InputError) as refusal:
-        Catalogue.from_dict(broken(Catalogue.of([finding(ring(4))]).to_dict()))
+        Catalogue.from_dict(broken(Catalogue.from_findings([finding(ring(4))]).to_dict()))
     assert refusal.value.field == field
     assert "\n" not in str(refusal.value)
 

@@ -27,7 +27,7 @@ def catalogue(*patterns, **how):
         Finding(pattern, value=4.0 - place / 10, episode=place, **sizes, **source)
         for place, pattern in enumerate(patterns)
     ]
-    return Catalogue.of(findings, **how)
+    return Catalogue.from_findings(findings, **how)
 
 
 def moved(pattern, turn=1.3, scale=2.0, mirror=False):

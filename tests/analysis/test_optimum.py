@@ -9,9 +9,9 @@ from murmurate.analysis.optimum.annealing import AnnealingConfig, anneal
 from murmurate.analysis.optimum.best_known import best_known
 from murmurate.analysis.optimum.search import Formation, OptimumConfig, annealed, distinct, hop, nested_rings, search
 from murmurate.errors import InputError
-from murmurate.world import WeightsConfig, WorldConfig
+from murmurate.world import WorldConfig
 
-SHORT = AnnealingConfig(chains=32, sweeps=300)
+SHORT = AnnealingConfig(chains=32, moves_per_robot=300)
 WORLD = WorldConfig(robots=5, half_width=32.5, half_height=32.5)
 
 
@@ -51,9 +51,9 @@ def test_the_same_seed_gives_the_same_formations():
 
 def test_weights_decide_what_is_given_up():
     """Where gathering weighs much more than sight, the best formation is no valid pattern, but a lattice."""
-    weights = WeightsConfig(gathering=300.0)
+    weights = {"gathering": 300.0}
     config = OptimumConfig(
-        WORLD, "C1", weights=weights, annealing=replace(SHORT, hot=1.0), polished=3, only_valid=False
+        WORLD, "C1", weights=weights, annealing=replace(SHORT, t_start=1.0), polished=3, only_valid=False
     )
     best = search(config)[0]
     ring = search(replace(config, only_valid=True))[0]
@@ -94,10 +94,10 @@ def test_formations_that_are_the_same_pattern_count_once():
     [
         ("chains", {"chains": 0}),
         ("chains", {"chains": 2**31 - 1}),
-        ("cold", {"cold": 1.0}),
-        ("fine", {"fine": 2.0}),
-        ("hot", {"hot": float("nan")}),
-        ("jumps", {"jumps": 1.5}),
+        ("t_end", {"t_end": 1.0}),
+        ("step_end", {"step_end": 2.0}),
+        ("t_start", {"t_start": float("nan")}),
+        ("teleport_fraction", {"teleport_fraction": 1.5}),
     ],
 )
 def test_impossible_numbers(field, values):

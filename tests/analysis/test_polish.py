@@ -7,9 +7,9 @@ import pytest
 
 from murmurate.analysis.optimum.bounds import ring
 from murmurate.analysis.optimum.formation import Target
-from murmurate.analysis.optimum.polish import _mended, _Problem, polish
+from murmurate.analysis.optimum.polish import _Problem, _repaired, polish
 from murmurate.geometry import distances, neighbors_and_visible
-from murmurate.world import WeightsConfig, WorldConfig
+from murmurate.world import WorldConfig
 from oracles.configurations import disjoint
 
 WORLD = WorldConfig(robots=8, half_width=40, half_height=40)
@@ -37,13 +37,13 @@ def test_it_gives_nothing_up(objective, seed):
 @pytest.mark.parametrize("objective", ["C1", "C2"])
 def test_a_small_step_outside_the_constraints_is_taken_back(objective, size):
     before = scattered(4)
-    problem = _Problem.of(before, Target(WORLD, objective))
+    problem = _Problem.from_target(before, Target(WORLD, objective))
     best = polish(before, Target(WORLD, objective)) / WORLD.safe_distance
     rng = np.random.default_rng(0)
     for _ in range(5):
         outside = best + size * rng.normal(size=best.shape)
         assert problem.constraints(outside).slack(outside)[0].min() < -size / 10
-        inside = _mended(outside, problem)
+        inside = _repaired(outside, problem)
         assert problem.constraints(inside).slack(inside)[0].min() > -1e-10
         assert np.abs(inside - outside).max() < 10 * size
 
@@ -82,9 +82,9 @@ def test_a_robot_may_end_on_the_gathering_point():
 @pytest.mark.parametrize("objective", ["C1", "C2"])
 def test_slopes_are_those_of_the_cost(reading, objective):
     world = replace(WORLD, safety=reading)
-    target = Target(world, objective, WeightsConfig(2.0, 3.0, 1.0, 1.0))
+    target = Target(world, objective, {"gathering": 2.0, "safety": 3.0})
     points = scattered(11, side=22.0) / 5
-    problem = _Problem.of(5 * points, target)
+    problem = _Problem.from_target(5 * points, target)
     _, slope = problem.cost(points, 1e-3)
     kept = problem.constraints(points)
     _, jacobian = kept.slack(points)

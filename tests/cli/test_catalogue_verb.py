@@ -88,7 +88,7 @@ def folder_of(path, robots, radius):
     told = {"objective": "C2", "value": 3.9, "gap": None, "experiment": "ring", "policy": "central", "start": "random"}
     sizes = {"radius": radius, "safe_distance": 5.0, "scan_radius": 50.0}
     finding = Finding(positions=ring, **sizes, **told, seed=0, run=path.name, episode=0)
-    catalogues.save(Catalogue.of([finding]), path)
+    catalogues.save(Catalogue.from_findings([finding]), path)
     return path
 
 
@@ -114,7 +114,7 @@ def test_folders_that_are_no_runs(tmp_path, discovered, capsys):
     refused(capsys, [broken, "--out", tmp_path / "x"], "evaluation.json lacks")
     summary = json.loads((discovered / "evaluation.json").read_text())
     (broken / "evaluation.json").write_text(json.dumps(summary | {"failures": 3}))
-    refused(capsys, [broken, "--out", tmp_path / "x"], "evaluation.json lacks failures: make it again")
+    refused(capsys, [broken, "--out", tmp_path / "x"], "evaluation.json has failures = 3, which are not episodes: make it again")
     foreign = tmp_path / "foreign"
     foreign.mkdir()
     (foreign / "catalogue.json").write_text('{"format": 7}')

@@ -7,7 +7,7 @@ import pytest
 from murmurate.analysis.optimum.best_known import BestKnown, load
 from murmurate.cli.main import main
 
-SHORT = ["--annealing.chains", "16", "--annealing.sweeps", "150", "--polished", "3"]
+SHORT = ["--annealing.chains", "16", "--annealing.moves_per_robot", "150", "--polished", "3"]
 
 
 def test_without_a_word_the_best_known_are_listed(capsys):

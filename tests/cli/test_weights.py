@@ -52,7 +52,7 @@ def test_damaged_weights_are_refused(tmp_path, monkeypatch):
 def test_they_form_patterns_at_once(objective, sensing):
     run = murmurate.pretrained(objective, sensing).of_size(6)
     ran = run.rollout(20, key=3)
-    seen = murmurate.geometry.visible(np.moveaxis(ran.final, 0, -1), 1.0, run.experiment.world.scan_radius)
+    seen = murmurate.geometry.visible(ran.final, 1.0, run.experiment.world.scan_radius)
     assert seen.sum() / (20 * 6 * 5) > 0.95
     assert ran.at_rest.sum() >= 18
     if objective == "C1":

@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from murmurate import geometry
+from murmurate.geometry import _batch_last
 from oracles import contact as oracle
 
 RADIUS = 1.0
@@ -77,7 +78,7 @@ def test_relabelling(step, random):
 @given(steps())
 def test_a_swarm_collides_when_any_pair_does(step):
     pairs = geometry.closest_approach(*step)[np.triu_indices(len(step[0]), 1)]
-    assert geometry.collides(*step, RADIUS) == (pairs <= 2 * RADIUS).any()
+    assert geometry.any_contact(*step, RADIUS) == (pairs <= 2 * RADIUS).any()
 
 
 @given(steps())
@@ -115,24 +116,24 @@ def test_clearances_are_distances_between_edges(step):
 def test_closed_form(array, positions, velocities, expected):
     positions, velocities = array(positions), array(velocities)
     np.testing.assert_allclose(approach(positions, velocities), expected, rtol=1e-6, atol=1e-6)
-    assert bool(geometry.collides(positions, velocities, RADIUS)) is (expected <= 2 * RADIUS)
+    assert bool(geometry.any_contact(positions, velocities, RADIUS)) is (expected <= 2 * RADIUS)
 
 
 def test_grazing_is_a_collision_and_a_hair_more_is_none(array):
     for gap, touches in ((0.0, True), (1e-5, False)):
         positions = array([[0, 0], [2 * RADIUS + gap, -5]])
-        assert bool(geometry.collides(positions, array([[0, 0], [0, 9]]), RADIUS)) is touches
-        assert bool(geometry.collides(positions, array([[0, 0], [0, 5]]), RADIUS)) is touches
-        assert not geometry.collides(positions, array([[0, 0], [0, 4.9]]), RADIUS)
+        assert bool(geometry.any_contact(positions, array([[0, 0], [0, 9]]), RADIUS)) is touches
+        assert bool(geometry.any_contact(positions, array([[0, 0], [0, 5]]), RADIUS)) is touches
+        assert not geometry.any_contact(positions, array([[0, 0], [0, 4.9]]), RADIUS)
 
 
 def test_third_robots_do_not_matter(array):
     positions, velocities = np.zeros((5, 2)), np.zeros((5, 2))
     positions[:, 0] = 10 * np.arange(5)
     velocities[3:] = [[8, 0], [-2, 0]]
-    assert bool(geometry.collides(array(positions), array(velocities), RADIUS))
+    assert bool(geometry.any_contact(array(positions), array(velocities), RADIUS))
     velocities[3:] = [[7, 0], [-0.9, 0]]
-    assert not geometry.collides(array(positions), array(velocities), RADIUS)
+    assert not geometry.any_contact(array(positions), array(velocities), RADIUS)
 
 
 @pytest.mark.parametrize("speed", [1e-30, 1e-12, 1e-3])
@@ -163,24 +164,24 @@ def test_far_from_the_origin(array):
     offset = np.array([1e4, -3e4])
     positions, velocities = offset + np.array([[0, 0], [-3, 2]]), array([[0, 0], [6, 0]])
     assert approach(array(positions), velocities) == 2
-    assert bool(geometry.collides(array(positions), velocities, RADIUS))
+    assert bool(geometry.any_contact(array(positions), velocities, RADIUS))
 
 
 def test_the_edge_of_the_world_is_inside(array):
     corners = array([[3, 2], [-3, 2], [3, -2], [-3, -2]])
-    assert not geometry.leaves(corners, 3.0, 2.0)
-    assert bool(geometry.leaves(corners, 3.0, 1.999))
-    assert bool(geometry.leaves(corners, 2.999, 2.0))
-    assert bool(geometry.leaves(array([[0, 0], [0, -2.001]]), 3.0, 2.0))
-    assert not geometry.leaves(array([[0, 0]]), 3.0, 2.0)
+    assert not geometry.any_outside(corners, 3.0, 2.0)
+    assert bool(geometry.any_outside(corners, 3.0, 1.999))
+    assert bool(geometry.any_outside(corners, 2.999, 2.0))
+    assert bool(geometry.any_outside(array([[0, 0], [0, -2.001]]), 3.0, 2.0))
+    assert not geometry.any_outside(array([[0, 0]]), 3.0, 2.0)
 
 
-def test_a_robot_without_a_place_leaves_the_world_and_touches_nobody(array):
+def test_for_the_kernels_a_robot_at_nan_is_outside_and_touches_no_other(array):
     for lost in ([np.nan, np.nan], [np.nan, 0], [0, np.nan]):
         positions, still = array([[0, 0], [3, 0], lost]), array(np.zeros((3, 2)))
-        assert bool(geometry.leaves(positions, 10.0, 10.0))
-        assert not geometry.collides(positions, still, RADIUS)
-        assert bool(geometry.collides(array([[0, 0], [2, 0], lost]), still, RADIUS))
-        assert approach(positions, still) == 3
-        assert not geometry.collides(array([[0, 0], [1, 0]]), array([[0, 0], lost]), RADIUS)
-        np.testing.assert_array_equal(geometry.clearances(positions, RADIUS).diagonal(), np.inf)
+        assert bool(_batch_last.any_outside(positions, 10.0, 10.0))
+        assert not _batch_last.any_contact(positions, still, RADIUS)
+        assert bool(_batch_last.any_contact(array([[0, 0], [2, 0], lost]), still, RADIUS))
+        assert float(_batch_last.closest_approach(positions, still)[0, 1]) == 3
+        assert not _batch_last.any_contact(array([[0, 0], [1, 0]]), array([[0, 0], lost]), RADIUS)
+        np.testing.assert_array_equal(_batch_last.clearances(positions, RADIUS).diagonal(), np.inf)

@@ -15,9 +15,9 @@ from oracles.visibility import FLOAT32_TANGENCY, FLOAT64_TANGENCY, pairwise_dist
 def contacts(positions, velocities, radius, half_side):
     return (
         geometry.closest_approach(positions, velocities),
-        geometry.collides(positions, velocities, radius),
+        geometry.any_contact(positions, velocities, radius),
         geometry.distances(positions),
-        geometry.leaves(positions + velocities, half_side, half_side),
+        geometry.any_outside(positions + velocities, half_side, half_side),
     )
 
 
@@ -40,9 +40,8 @@ def test_kernels_agree_with_shapes(robots):
         departures += departed.sum()
         total += len(positions)
         for kernels, dtype, tolerance in KERNELS:
-            batch_last = (np.moveaxis(a, 0, -1).astype(dtype) for a in (positions, velocities))
-            answers = kernels(*batch_last, radius, side / 2)
-            got_approach, collides, got_distance, leaves = (np.moveaxis(np.asarray(a), -1, 0) for a in answers)
+            answers = kernels(positions.astype(dtype), velocities.astype(dtype), radius, side / 2)
+            got_approach, collides, got_distance, leaves = map(np.asarray, answers)
             np.testing.assert_allclose(got_approach, approach, rtol=0, atol=tolerance * radius)
             np.testing.assert_allclose(got_distance, distance, rtol=0, atol=tolerance * radius)
             decided = np.abs(nearest - 2 * radius) > tolerance * radius

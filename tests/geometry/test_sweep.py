@@ -1,4 +1,4 @@
-"""The sweep over large swarms gives the direct kernel's answers, to the last boolean."""
+"""The sweep over large swarms gives exactly the answers of the pairwise test."""
 
 from __future__ import annotations
 
@@ -14,8 +14,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from murmurate import geometry
-from murmurate.geometry import visibility
-from murmurate.geometry.sweep import sweep
+from murmurate.geometry import _batch_last
+from murmurate.geometry._batch_last import visibility
+from murmurate.geometry._batch_last.sweep import sweep
 from oracles import visibility as oracle
 from oracles.configurations import disjoint
 
@@ -43,11 +44,11 @@ def kinds(rng, robots):
 
 
 def occluded(positions, by):
-    xp, positions = visibility.as_configuration(positions)
-    return by(xp, visibility.sight_of(xp, *visibility.offsets(xp, positions), RADIUS))
+    xp, positions = visibility.as_floating(positions)
+    return by(xp, visibility.angular_intervals(xp, *visibility.offsets(xp, positions), RADIUS))
 
 
-direct = functools.partial(occluded, by=visibility.directly)
+direct = functools.partial(occluded, by=visibility.occluded_pairwise)
 fast = functools.partial(occluded, by=sweep)
 compiled = jax.jit(lambda positions: (direct(positions), fast(positions)))
 
@@ -57,7 +58,7 @@ def test_there_are_a_hundred_thousand_configurations():
 
 
 @pytest.mark.parametrize("robots", SWARMS)
-def test_same_as_the_direct_kernel(robots):
+def test_same_as_the_pairwise_test(robots):
     hidden = []
     for round_ in range(SWARMS[robots]):
         for positions in kinds(np.random.default_rng([robots, round_]), robots):
@@ -108,7 +109,9 @@ def largest(jaxpr):
 
 
 @pytest.mark.parametrize(
-    "kernel", [geometry.occluded, lambda p, r: geometry.hides(p, r, 1e3)], ids=["occluded", "hides"]
+    "kernel",
+    [_batch_last.occluded, lambda p, r: _batch_last.sole_occluder_counts(p, r, 1e3)],
+    ids=["occluded", "sole_occluder_counts"],
 )
 def test_memory_grows_with_the_square(kernel):
     robots = 512
@@ -118,13 +121,14 @@ def test_memory_grows_with_the_square(kernel):
 
 @settings(max_examples=20)
 @given(st.integers(3, 24), st.integers(0, 2**32 - 1))
-def test_hides_many_as_few(robots, seed):
+def test_sole_occluders_in_a_loop_as_pairwise(robots, seed):
     positions = np.random.default_rng(seed).integers(-9, 10, (robots, 2, 5)).astype(float)
-    xp, positions = visibility.as_configuration(positions)
-    sight = visibility.sight_of(xp, *visibility.offsets(xp, positions), RADIUS)
-    alone = visibility._alone(xp, sight)
-    np.testing.assert_array_equal(visibility._alone_among_many(xp, sight), alone)
-    np.testing.assert_array_equal(visibility._tally_of_many(xp, alone.astype(np.int32)), visibility._tally(xp, alone))
+    xp, positions = visibility.as_floating(positions)
+    intervals = visibility.angular_intervals(xp, *visibility.offsets(xp, positions), RADIUS)
+    occluder = visibility._sole_occluder(xp, intervals)
+    np.testing.assert_array_equal(visibility._sole_occluder_in_loop(xp, intervals), occluder)
+    counts = visibility._frequencies_by_scatter(xp, occluder.astype(np.int32))
+    np.testing.assert_array_equal(counts, visibility._frequencies(xp, occluder))
 
 
 @pytest.mark.parametrize("length", [129, 300, 1000])

@@ -30,18 +30,17 @@ def start(robots, rng):
 
 def signals_of(positions, world, objective):
     """The definitions of design.md, written for (configurations, robots, 2)."""
-    moved = np.moveaxis(positions, 0, -1)
-    robots, diagonal = len(moved), np.hypot(world.half_width, world.half_height)
-    distance = geometry.distances(moved)
-    near, seen = geometry.neighbors_and_visible(moved, world.radius, world.scan_radius)
+    robots, diagonal = world.robots, np.hypot(world.half_width, world.half_height)
     off = ~np.eye(robots, dtype=bool)
-    unsafe = np.sqrt(np.maximum(0, world.safe_distance - distance[off])).sum(axis=0)
+    distance = geometry.distances(positions)[:, off]
+    pairs = geometry.neighbors_and_visible(positions, world.radius, world.scan_radius)
+    unsafe = np.sqrt(np.maximum(0, world.safe_distance - distance)).sum(axis=1)
     close = {
-        "C1": 1 - np.linalg.norm(moved, axis=1).mean(axis=0) / diagonal,
-        "C2": 1 - distance[off].mean(axis=0) / (2 * diagonal),
+        "C1": 1 - np.linalg.norm(positions, axis=2).mean(axis=1) / diagonal,
+        "C2": 1 - distance.mean(axis=1) / (2 * diagonal),
     }[objective]
     safety = 1 - unsafe / (robots * np.sqrt(world.safe_distance))
-    shares = [flags[off].mean(axis=0) for flags in (near, seen)]
+    shares = [flags[:, off].mean(axis=1) for flags in pairs]
     return dict(zip(SIGNALS[objective], (close, safety, *shares), strict=True))
 
 

@@ -9,38 +9,40 @@ import pytest
 
 from murmurate import plots
 from murmurate.errors import InputError, RunError
-from murmurate.runs import experiment, storage
+from murmurate.runs.folder import RunFolder
 
 
 @pytest.fixture(scope="module")
 def folder(recording, tmp_path_factory):
     """The folder of a finished run that holds the recording; not to be changed."""
-    folder = tmp_path_factory.mktemp("runs") / "C"
-    folder.mkdir()
-    experiment.save(recording.experiment, folder)
-    write_trajectories(recording, folder)
-    rows = [
+    return write_run(recording, RunFolder(tmp_path_factory.mktemp("runs") / "C"))
+
+
+def write_run(recording, folder):
+    """Writes a finished run that holds a recording."""
+    folder.create()
+    folder.write_experiment(recording.experiment)
+    folder.append_metrics(
         {
             "policy": policy,
             "name": curve.name,
+            "update": update,
             "environment_steps": curve.environment_steps[update],
             "signals": {name: values[update] for name, values in curve.signals.items()},
         }
         for policy, curve in enumerate(recording.training)
         for update in range(len(curve.environment_steps))
-    ]
-    storage.append_lines(folder / "metrics.jsonl", rows)
-    manifest = {"format": storage.FORMAT, "checksums": storage.checksums(folder, ["experiment.toml"])}
-    storage.write_json(folder / "manifest.json", manifest)
-    return folder
+    )
+    folder.write_policies([{"weight": np.zeros(1)}] * 2)
+    folder.write_evaluation({}, arrays_of(recording.trajectories))
+    folder.write_manifest({}, policies=2)
+    return folder.path
 
 
-def write_trajectories(recording, folder):
-    trajectories = recording.trajectories
-    names = ("positions", "lengths", "switch", "at_rest")
-    arrays = {name: getattr(trajectories, name) for name in names}
+def arrays_of(trajectories):
+    arrays = {name: getattr(trajectories, name) for name in ("positions", "lengths", "switch", "at_rest")}
     arrays["signals"] = np.stack(list(trajectories.signals.values()), axis=-1)
-    storage.write_npz(folder / "trajectories.npz", arrays | {"signal_names": np.array(list(trajectories.signals))})
+    return arrays | {"signal_names": np.array(list(trajectories.signals))}
 
 
 def test_reads_what_was_recorded(recording, folder):
@@ -55,18 +57,20 @@ def test_reads_what_was_recorded(recording, folder):
     assert opened.valid.all()
 
 
-def test_what_cannot_be_drawn_is_one_line(recording, change, folder, tmp_path):
+def test_what_cannot_be_drawn_is_one_line(recording, change, tmp_path):
     with pytest.raises(RunError, match="holds no run"):
         plots.Recording.open(tmp_path / "nowhere")
-    broken = tmp_path / "broken"
-    broken.mkdir()
-    for name in ("experiment.toml", "metrics.jsonl", "manifest.json"):
-        (broken / name).write_bytes((folder / name).read_bytes())
+    run = RunFolder(write_run(recording, RunFolder(tmp_path / "run")))
+    diverged = change(recording, positions=np.full_like(recording.trajectories.positions, np.nan))
+    run.write_evaluation({}, arrays_of(diverged.trajectories))
+    with pytest.raises(RunError, match=r"trajectories\.npz has .* not finite"):
+        plots.Recording.open(run)
+    (run.path / "trajectories.npz").unlink()
     with pytest.raises(RunError, match=r"trajectories\.npz"):
-        plots.Recording.open(broken)
-    write_trajectories(change(recording, positions=np.full_like(recording.trajectories.positions, np.nan)), broken)
-    with pytest.raises(RunError, match=r"trajectories\.npz is malformed: .* not finite"):
-        plots.Recording.open(broken)
+        plots.Recording.open(run)
+    (run.path / "experiment.toml").write_text("changed")
+    with pytest.raises(RunError, match="does not match its checksum"):
+        plots.Recording.open(run)
 
 
 def test_an_episode_ends_at_its_rest(recording):

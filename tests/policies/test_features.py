@@ -8,7 +8,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from murmurate.policies.features import LEAST_MEAN, MEAN, NEIGHBOR, counted, roominess, stretched
+from murmurate.policies.features import (
+    MEAN_DISTANCE,
+    MIN_MEAN_DISTANCE,
+    NEIGHBOR_DISTANCE,
+    count_weights,
+    normalize_distances,
+    relative_spread,
+)
 from murmurate.world import WorldConfig
 
 WORLD = WorldConfig(robots=8, half_width=40.0, half_height=40.0)
@@ -29,38 +36,38 @@ def mean_distance(points):
     return apart.sum() / (len(points) * (len(points) - 1))
 
 
-def roomy(points):
+def spread(points):
     mean = jnp.full((1,), mean_distance(points))
-    return np.asarray(roominess(mean, jnp.full((1,), len(points) - 1.0), WORLD))[:, 0]
+    return np.asarray(relative_spread(mean, jnp.full((1,), len(points) - 1.0), WORLD))[:, 0]
 
 
 @pytest.mark.parametrize("robots", [4, 6, 8, 12, 16, 24, 64, 256])
-def test_the_least_ring_is_as_roomy_as_it_must_be_whatever_its_number(robots):
-    assert abs(roomy(ring(robots, least_radius(robots)))[0]) < 0.12
-    assert roomy(ring(robots, 2 * least_radius(robots)))[0] == pytest.approx(np.tanh(np.log(2)), abs=0.1)
+def test_the_spread_of_the_smallest_ring_is_the_same_for_any_number_of_robots(robots):
+    assert abs(spread(ring(robots, least_radius(robots)))[0]) < 0.12
+    assert spread(ring(robots, 2 * least_radius(robots)))[0] == pytest.approx(np.tanh(np.log(2)), abs=0.1)
 
 
-@given(mean=st.floats(LEAST_MEAN, 500.0), first=st.floats(0.01, 2000.0), second=st.floats(0.01, 2000.0))
-def test_stretching_keeps_order_and_puts_the_mean_at_one_place(mean, first, second):
+@given(mean=st.floats(MIN_MEAN_DISTANCE, 500.0), first=st.floats(0.01, 2000.0), second=st.floats(0.01, 2000.0))
+def test_normalizing_keeps_the_order_and_puts_the_mean_at_one_place(mean, first, second):
     distances = jnp.log(jnp.asarray([[first, second, mean, 1.0, 0.5]]))
-    found = np.asarray(stretched(distances, jnp.asarray([mean])))[0]
+    found = np.asarray(normalize_distances(distances, jnp.asarray([mean])))[0]
     assert (found[0] <= found[1] + 1e-4) == (first <= second) or abs(first - second) < 1e-3 * second
-    np.testing.assert_allclose(found[2:], np.log([MEAN, 1.0, 0.5]), atol=1e-4)
+    np.testing.assert_allclose(found[2:], np.log([MEAN_DISTANCE, 1.0, 0.5]), atol=1e-4)
 
 
-def test_neighbours_on_least_rings_lie_at_nearly_the_same_place():
+def test_neighbours_on_least_rings_have_nearly_the_same_normalized_distance():
     plain, places = [], []
     for robots in (24, 64, 256):
         points = ring(robots, least_radius(robots))
         plain.append(np.log(np.linalg.norm(points[1] - points[0]) / 5.0))
         mean = jnp.asarray([mean_distance(points) / 5.0])
-        places.append(float(stretched(jnp.asarray([[plain[-1]]]), mean)[0, 0]))
+        places.append(float(normalize_distances(jnp.asarray([[plain[-1]]]), mean)[0, 0]))
     assert np.ptp(places) < np.ptp(plain) / 10
-    np.testing.assert_allclose(places, np.log(NEIGHBOR), atol=0.2)
+    np.testing.assert_allclose(places, np.log(NEIGHBOR_DISTANCE), atol=0.2)
 
 
-def test_the_near_are_counted_and_the_far_are_shared():
-    weights = np.asarray(counted(jnp.asarray([8.0, 32.0]), 8))
+def test_near_robots_are_counted_and_far_ones_averaged():
+    weights = np.asarray(count_weights(jnp.asarray([8.0, 32.0]), 8))
     np.testing.assert_allclose(weights[0], 1.0)
     np.testing.assert_allclose(weights[-1], [1.0, 0.25])
     assert (np.diff(weights[:, 1]) <= 1e-6).all()

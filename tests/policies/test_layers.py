@@ -7,12 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from murmurate.policies.layers import MOST_UNROLLED, fold
+from murmurate.policies.layers import MAX_UNROLLED, fold
 
-TERMS = np.random.default_rng(0).normal(size=(MOST_UNROLLED + 5, 3))
+TERMS = np.random.default_rng(0).normal(size=(MAX_UNROLLED + 5, 3))
 
 
-@pytest.mark.parametrize("count", [1, 2, MOST_UNROLLED, MOST_UNROLLED + 1, MOST_UNROLLED + 5])
+@pytest.mark.parametrize("count", [1, 2, MAX_UNROLLED, MAX_UNROLLED + 1, MAX_UNROLLED + 5])
 def test_a_fold_sums_as_many_terms_as_it_is_told_and_has_a_gradient(count):
     def total(terms):
         first, second = fold(lambda i: (terms[i], terms[i] ** 2), count)

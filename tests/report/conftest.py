@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import functools
 
+import jax
 import pytest
 from matplotlib.figure import Figure
 
@@ -33,7 +34,8 @@ def plan():
 def runs(plan, tmp_path_factory):
     """The folder of the plan's finished runs; not to be changed."""
     runs = tmp_path_factory.mktemp("runs")
-    work.train(plan, runs)
+    with jax.numpy_rank_promotion("allow"):  # optax needs the usual rules
+        work.train(plan, runs)
     return runs
 
 

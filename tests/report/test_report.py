@@ -13,7 +13,6 @@ from murmurate.errors import RunError
 from murmurate.report import report as reports
 from murmurate.report.data import Command, ReportData, measure
 from murmurate.runs.paper import EXPERIMENTS
-from murmurate.runs.train import NOTHING_VALID
 
 SECTIONS = [
     "The six experiments",
@@ -143,10 +142,10 @@ def data(plan, results, blank_pictures):
 def test_a_run_without_a_valid_pattern_is_a_result(data):
     first, second = data.results
     summary = {**first.summary, "valid": 0.0, "failures": list(range(200))}
-    failed = replace(first, summary=summary, manifest={**first.manifest, "outcome": NOTHING_VALID})
+    failed = replace(first, summary=summary, manifest={**first.manifest, "valid_pattern": False})
     data = replace(data, results=(failed, second))
     assert notes(data).count(f"No valid pattern was discovered by `{first.planned.name}`.") == 2
-    assert reports.make(data).numbers["experiments"]["A"]["central"]["outcome"] == NOTHING_VALID
+    assert reports.make(data).numbers["experiments"]["A"]["central"]["valid_pattern"] is False
 
 
 def test_when_nothing_failed_it_says_so(data):

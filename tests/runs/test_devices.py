@@ -17,7 +17,8 @@ from safetensors.numpy import load_file
 from murmurate.cli.main import main
 from murmurate.errors import InputError, RunError
 from murmurate.learning import sharding
-from murmurate.runs import storage, train
+from murmurate.runs import train
+from murmurate.runs.folder import RunFolder
 from tiny import tiny, write_toml
 
 UPDATES = 20
@@ -71,12 +72,12 @@ def assert_same(folder, other):
     weights, expected = (load_file(path / "policies" / "0-base.safetensors") for path in (folder, other))
     for name, value in weights.items():
         np.testing.assert_allclose(value, expected[name], rtol=1e-4, atol=1e-5)
-    storage.verify(folder, storage.read_manifest(folder))
+    RunFolder(folder).verify()
 
 
 def test_four_devices_learn_what_one_learns(toml, one_device, tmp_path):
     finish(start(toml, tmp_path / "run", 4))
-    assert storage.read_manifest(tmp_path / "run")["devices"] == 4
+    assert RunFolder(tmp_path / "run").manifest()["devices"] == 4
     assert_same(tmp_path / "run", one_device)
 
 
@@ -86,7 +87,7 @@ def test_two_hosts_learn_what_one_device_learns(toml, one_device, tmp_path):
     assert "valid pattern" in finish(first)[0]
     output = finish(second)[0].splitlines()
     assert all(line.startswith("[Gloo]") for line in output), "host 1 prints nothing of its own"
-    assert storage.read_manifest(tmp_path / "run")["devices"] == 4
+    assert RunFolder(tmp_path / "run").manifest()["devices"] == 4
     assert_same(tmp_path / "run", one_device)
 
 

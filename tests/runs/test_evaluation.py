@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
-from murmurate.analysis import best_known
+from murmurate.analysis.optimum import best_known
 from murmurate.analysis.optimum.best_known import BestKnown
 from murmurate.discovery import Trajectories, Validity
-from murmurate.runs import storage
+from murmurate.runs import files
 from murmurate.runs.evaluate import Evaluation, wilson
 from tiny import tiny
 
@@ -25,7 +25,7 @@ def made_up(switch, lengths, valid, bound=(10.0, 30.0)):
     still = np.zeros((2, steps, 3, 2), np.float32)
     ran = Trajectories(still, lengths, np.array(switch, np.int32).reshape(2, -1), valid, ~valid, signals, lengths)
     yes = np.ones(2, bool)
-    return Evaluation(tiny(), 5, "fresh", ran, Validity(yes, yes, yes, yes, valid), np.array(bound))
+    return Evaluation(tiny(), 5, {"kind": "fresh"}, ran, Validity(yes, yes, yes, yes, yes, valid), np.array(bound))
 
 
 def test_means_are_over_all_episodes():
@@ -35,9 +35,9 @@ def test_means_are_over_all_episodes():
         "robots": 3,
         "episodes": 2,
         "seed": 5,
-        "starts": "fresh",
+        "starts": {"kind": "fresh"},
     }
-    assert (summary["collision_free"], summary["at_rest"], summary["valid"]) == (1.0, 0.5, 0.5)
+    assert (summary["contact_free"], summary["inside"], summary["at_rest"], summary["valid"]) == (1.0, 1.0, 0.5, 0.5)
     assert (summary["base_steps"], summary["auxiliary_steps"], summary["total_steps"]) == (30, 20, 50)
     assert (summary["bound_steps"], summary["efficiency"]) == (20, 0.4)
     assert summary["failures"] == [1]
@@ -65,7 +65,7 @@ def test_what_cannot_be_computed_is_null(tmp_path):
     text = (tmp_path / "evaluation.json").read_text()
     assert json.loads(text)["bound_steps"] is None
     assert "NaN" not in text
-    assert storage.read_npz(tmp_path / "trajectories.npz")["lengths"].tolist() == [30, 70]
+    assert files.read_npz(tmp_path / "trajectories.npz")["lengths"].tolist() == [30, 70]
 
 
 @pytest.mark.parametrize(("successes", "trials"), [(0, 200), (1, 7), (198, 200), (200, 200)])
@@ -82,8 +82,8 @@ def stands_still(positions, **world):
     ran = Trajectories(
         np.array(positions, np.float32)[None, None], zero, np.zeros((1, 0), np.int32), yes, none, signals, zero
     )
-    validity = Validity(yes, yes, yes, yes, yes)
-    return Evaluation(tiny(world={"safe_distance": 5.0, **world}), 0, "fresh", ran, validity, np.array([0.0]))
+    validity = Validity(yes, yes, yes, yes, yes, yes)
+    return Evaluation(tiny(world={"safe_distance": 5.0, **world}), 0, {"kind": "fresh"}, ran, validity, np.array([0.0]))
 
 
 TRIANGLE = 2.9 * np.array([[1, 0], [-0.5, np.sqrt(0.75)], [-0.5, -np.sqrt(0.75)]])
@@ -105,10 +105,10 @@ def test_a_pattern_that_beats_the_table_is_offered_as_a_record(tmp_path, monkeyp
     evaluation = stands_still(TRIANGLE)
     evaluation.save(tmp_path)
     assert not (tmp_path / "record.json").exists()
-    worse = BestKnown.of(evaluation.target, 1.1 * TRIANGLE, "by hand")
+    worse = BestKnown.from_target(evaluation.target, 1.1 * TRIANGLE, "by hand")
     monkeypatch.setattr(best_known, "load", lambda: (worse,))
     evaluation.save(tmp_path)
-    record = BestKnown.from_dict(storage.read_json(tmp_path / "record.json"))
+    record = BestKnown.from_dict(files.read_json(tmp_path / "record.json"))
     assert record.positions == pytest.approx(TRIANGLE, abs=1e-6)
     assert record.value == pytest.approx(evaluation.summary()["best_found"])
     assert record.command == "murmurate discover tiny.toml --seed 0"

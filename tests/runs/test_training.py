@@ -1,22 +1,23 @@
 from __future__ import annotations
 
-import json
 import os
 import shutil
 import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from murmurate import plots
-from murmurate.discovery import Discovery
+from murmurate.discovery import Search
 from murmurate.errors import InputError, RunError
-from murmurate.runs import checkpoint, evaluate, serialization, storage, train
-from murmurate.runs.run import METRICS
+from murmurate.runs import evaluate, files, train
+from murmurate.runs.folder import RunFolder
+from murmurate.runs.run import Run
 from tiny import tiny, write_toml
 
 POLICIES = ("policies/0-base.safetensors", "policies/1-auxiliary.safetensors")
@@ -40,7 +41,7 @@ def stop_after(calls):
 
 
 def rows(folder):
-    return [json.loads(line) for line in (folder / METRICS).read_text().splitlines()]
+    return RunFolder(folder).metrics()
 
 
 def timeless(folder):
@@ -55,18 +56,18 @@ def assert_same(folder, other):
 
 def test_a_finished_run_holds_all_its_parts(finished):
     assert sorted(path.relative_to(finished).as_posix() for path in finished.rglob("*") if path.is_file()) == sorted(
-        [*KEPT, METRICS, "manifest.json"]
+        [*KEPT, "metrics.jsonl", "manifest.json"]
     )
-    manifest = storage.read_manifest(finished)
-    storage.verify(finished, manifest)
+    manifest = RunFolder(finished).verify()
     assert set(manifest) == {
-        *("format", "murmurate", "versions", "platform", "device", "devices", "seed", "experiment", "robots"),
-        *("outcome", "policies", "environment_steps", "train_seconds", "checksums"),
+        *("format", "murmurate", "versions", "platform", "cpu", "threads", "device", "devices", "flags"),
+        *("seed", "experiment", "robots", "valid_pattern", "policies", "environment_steps", "train_seconds"),
+        "checksums",
     }
     assert manifest["policies"] == ["base", "auxiliary"]
     assert manifest["environment_steps"] == 2 * 4 * 8 * 4
     assert manifest["checksums"].keys() == {"experiment.toml", *POLICIES}
-    assert config.load(finished) == tiny()
+    assert RunFolder(finished).experiment() == tiny()
     assert plots.Record.open(finished).policies == ("base", "auxiliary")
 
 
@@ -82,16 +83,16 @@ def test_metrics_are_one_row_an_update(finished):
         assert {"reward", "terminated", "policy_loss", "value_loss", "kl", "steps_per_second"} <= row.keys()
     seconds = [row["seconds"] for row in written]
     assert seconds == sorted(seconds)
-    assert storage.read_manifest(finished)["train_seconds"] == pytest.approx(seconds[-1], abs=1e-3)
+    assert RunFolder(finished).manifest()["train_seconds"] == pytest.approx(seconds[-1], abs=1e-3)
 
 
 def test_evaluation_and_trajectories_have_the_fields_of_the_contract(finished):
-    summary = storage.read_json(finished / "evaluation.json")
-    fractions = ("collision_free", "mutually_visible", "gathered", "safe", "at_rest", "valid")
+    summary = files.read_json(finished / "evaluation.json")
+    fractions = ("contact_free", "inside", "mutually_visible", "gathered", "safe", "at_rest", "valid")
     steps = ("base_steps", "auxiliary_steps", "total_steps", "bound_steps")
     assert {"experiment", "robots", "episodes", "seed", "signal", *fractions, *steps} <= summary.keys()
     assert summary["signal"].keys() == {"nclose", "safety", "neighbors", "visible", "total"}
-    arrays = storage.read_npz(finished / "trajectories.npz")
+    arrays = files.read_npz(finished / "trajectories.npz")
     episodes, configurations = arrays["positions"].shape[:2]
     assert episodes == summary["episodes"] == evaluate.EPISODES
     expected = {
@@ -101,6 +102,8 @@ def test_evaluation_and_trajectories_have_the_fields_of_the_contract(finished):
         "objective": ("float32", (episodes, configurations)),
         "signals": ("float32", (episodes, configurations, 4)),
         "at_rest": ("bool", (episodes,)),
+        "terminated": ("bool", (episodes,)),
+        "epochs": ("int32", (episodes,)),
     }
     assert {name: (str(arrays[name].dtype), arrays[name].shape) for name in expected} == expected
     assert arrays["signal_names"].tolist() == ["nclose", "safety", "neighbors", "visible"]
@@ -118,7 +121,7 @@ def test_resuming_ends_in_the_same_bytes(finished, tmp_path, calls):
         train.discover(tiny(), folder, on_progress=stop_after(calls))
     assert not (folder / "manifest.json").exists()
     with pytest.raises(RunError, match="unfinished"):
-        storage.read_manifest(folder)
+        RunFolder(folder).manifest()
     with pytest.raises(RunError, match="--resume"):
         train.discover(tiny(), folder)
     train.discover(tiny(), folder, resume=True)
@@ -127,21 +130,34 @@ def test_resuming_ends_in_the_same_bytes(finished, tmp_path, calls):
 
 
 def test_rows_beyond_the_checkpoint_are_cut_off(finished, tmp_path, monkeypatch):
-    folder, save, left = tmp_path / "run", checkpoint.save, [2]
+    folder, write, left = tmp_path / "run", RunFolder.write_checkpoint, [2]
 
     def failing(*args):
         left[0] -= 1
         if not left[0]:
             raise StoppedError
-        save(*args)
+        write(*args)
 
-    monkeypatch.setattr(checkpoint, "save", failing)
+    monkeypatch.setattr(RunFolder, "write_checkpoint", failing)
     with pytest.raises(StoppedError):
         train.discover(tiny(), folder)
     monkeypatch.undo()
     assert len(rows(folder)) == 4
     train.discover(tiny(), folder, resume=True)
     assert_same(folder, finished)
+
+
+def test_a_run_is_trained_by_one_process_at_a_time(tmp_path):
+    folder = tmp_path / "run"
+
+    def resume_again(*_, **__):
+        with pytest.raises(RunError, match="is in use: another process trains this run"):
+            train.discover(tiny(), folder, resume=True)
+        raise StoppedError
+
+    with pytest.raises(StoppedError):
+        train.discover(tiny(), folder, on_progress=resume_again)
+    assert sorted(path.name for path in folder.iterdir()) == ["experiment.toml"]
 
 
 def test_a_killed_process_can_be_resumed(finished, tmp_path):
@@ -161,7 +177,7 @@ def test_a_killed_process_can_be_resumed(finished, tmp_path):
 
 def test_a_finished_run_is_not_touched_by_resuming(finished):
     before = {path: path.stat().st_mtime_ns for path in finished.rglob("*")}
-    assert train.discover(tiny(), finished, resume=True).manifest == storage.read_manifest(finished)
+    assert train.discover(tiny(), finished, resume=True).manifest == RunFolder(finished).manifest()
     assert {path: path.stat().st_mtime_ns for path in finished.rglob("*")} == before
 
 
@@ -186,7 +202,7 @@ def test_a_damaged_checkpoint_is_one_line(tmp_path):
     path.write_bytes(path.read_bytes()[:-10])
     with pytest.raises(RunError, match=r"snapshot\.safetensors is not a valid"):
         train.discover(tiny(), folder, resume=True)
-    serialization.save(path, {}, {"policies": 0})
+    files.write_tree(path, {}, {"policies": 0})
     with pytest.raises(RunError, match="not a checkpoint of this version"):
         train.discover(tiny(), folder, resume=True)
 
@@ -194,31 +210,29 @@ def test_a_damaged_checkpoint_is_one_line(tmp_path):
 def test_no_valid_pattern_is_an_honest_outcome(tmp_path):
     # Robots begin 20 units apart, and untrained ones do not come near enough to be neighbours.
     run = train.discover(tiny(world={"scan_radius": 2.5}), tmp_path / "run")
-    assert run.manifest["outcome"] == "no valid pattern was discovered"
-    assert storage.read_json(tmp_path / "run" / "evaluation.json")["valid"] == 0
+    assert run.manifest["valid_pattern"] is False
+    assert files.read_json(tmp_path / "run" / "evaluation.json")["valid"] == 0
     assert len(run.cascade.policies) == 2
 
 
 def test_an_empty_sigma_ends_the_search(tmp_path, monkeypatch):
-    monkeypatch.setattr(Discovery, "_conclude", _everybody_crashed)
+    monkeypatch.setattr(Search, "conclude", _everybody_crashed)
     run = train.discover(tiny(), tmp_path / "run")
-    assert run.manifest["outcome"] == "no valid pattern was discovered"
+    assert run.manifest["valid_pattern"] is False
     assert run.manifest["policies"] == ["base"]
-    summary = storage.read_json(tmp_path / "run" / "evaluation.json")
+    summary = files.read_json(tmp_path / "run" / "evaluation.json")
     assert summary["auxiliary_steps"] == 0
     assert summary["base_steps"] == summary["total_steps"]
 
 
 def _everybody_crashed(self, snapshot, policy):
-    from dataclasses import replace
-
     return replace(snapshot, policies=(policy,), sigma=snapshot.sigma[:0], train=None, finished=True)
 
 
 def test_positions_from_a_file_go_along_with_the_run(tmp_path):
     source = tmp_path / "mine.csv"
     source.write_text("start,x,y\n0,-5,0\n0,0,0\n0,5,1\n")
-    wanted = tiny(start={"kind": "file", "file": str(source), "noise": 0.1})
+    wanted = tiny(start={"use": "file", "file": str(source), "noise": 0.1})
     folder = tmp_path / "run"
     with pytest.raises(StoppedError):
         train.discover(wanted, folder, on_progress=stop_after(2))
@@ -229,6 +243,58 @@ def test_positions_from_a_file_go_along_with_the_run(tmp_path):
     train.discover(wanted, folder, resume=True)
     source.unlink()
     moved = Path(shutil.move(folder, tmp_path / "moved"))
-    run = train.Run.open(moved)
+    run = Run.open(moved)
     assert "starts.csv" in run.manifest["checksums"]
     assert np.abs(run.starts(4) - np.array([[-5, 0], [0, 0], [5, 1]])).max() <= 0.1
+
+
+def test_a_training_begins_with_the_policies_of_a_run(finished, tmp_path):
+    initial, folder = Run.open(finished), tmp_path / "run"
+    frozen = {"ppo": {"updates": 2, "policy_rate": 0.0, "policy_rate_end": 0.0}}
+    config = tiny(seed=1, base=frozen, auxiliary=frozen)
+    run = train.discover(config, folder, initial=initial)
+    for before, after in zip(initial.cascade.policies, run.cascade.policies, strict=True):
+        assert np.array_equal(before.body.layers[0].weight, after.body.layers[0].weight)
+    origin = run.manifest["initial"]
+    assert (origin["experiment"], origin["seed"]) == ("tiny", 0)
+    assert origin["checksums"].keys() == set(POLICIES)
+    assert not (folder / "checkpoint").exists()
+
+
+def test_a_training_that_began_with_a_run_is_resumed_without_it(finished, tmp_path):
+    source, folder, unbroken = tmp_path / "source", tmp_path / "run", tmp_path / "unbroken"
+    initial, config = Run.open(shutil.copytree(finished, source)), tiny(seed=1)
+    train.discover(config, unbroken, initial=initial)
+    with pytest.raises(StoppedError):
+        train.discover(config, folder, on_progress=stop_after(2), initial=initial)
+    shutil.rmtree(source)
+    train.discover(config, folder, resume=True)
+    assert_same(folder, unbroken)
+    assert RunFolder(folder).manifest()["initial"] == RunFolder(unbroken).manifest()["initial"]
+    other = replace(initial, manifest={"checksums": {"policies/0-base.safetensors": "other"}})
+    with pytest.raises(RunError, match="did not begin with the policies of"):
+        train.discover(config, folder, resume=True, initial=other)
+
+
+def test_policies_of_other_shapes_are_refused(finished, tmp_path):
+    config = tiny(policy={"hidden": [4, 4]})
+    with pytest.raises(RunError, match=r"the base policy to begin with has 'body/layers/0/weight' as float32"):
+        train.discover(config, tmp_path / "run", initial=Run.open(finished))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_training_that_diverges_names_the_update_and_keeps_its_checkpoint(tmp_path, monkeypatch):
+    folder, advance, calls = tmp_path / "run", train.advance_together, []
+
+    def diverging(searches, snapshots):
+        calls.append(advanced := advance(searches, snapshots))
+        if len(calls) == 2:
+            advanced[0][1][1]["finite"] = 0.0
+        return advanced
+
+    monkeypatch.setattr(train, "advance_together", diverging)
+    with pytest.raises(RunError, match=r"the training of the base policy diverged at update 4: .* is NaN or infinite"):
+        train.discover(tiny(), folder)
+    assert len(rows(folder)) == 2
+    assert RunFolder(folder).checkpoint_rows() == 2
+    assert RunFolder(folder).inspect(resume=True) == "unfinished"

@@ -22,18 +22,19 @@ def usual_broadcasting():
 def test_the_compiler_counts_a_matrix_product_and_one_turn_of_a_loop():
     matrix = jnp.ones((64, 64))
     product = compiler_cost(lambda x: x @ x, matrix)
-    assert product == {"operations": 2 * 64**3, "functions": 0, "bytes": 2 * 4 * 64**2}
+    assert (product["operations"], product["functions"]) == (2 * 64**3, 0)
+    assert product["bytes"] == pytest.approx(2 * 4 * 64**2, rel=0.01)
     loop = compiler_cost(lambda x: jax.lax.fori_loop(0, 10, lambda _, x: x @ x, x), matrix)
     assert product["operations"] <= loop["operations"] < 1.1 * product["operations"]
 
 
 def test_the_operations_of_a_step_grow_with_the_cube_of_the_swarm():
-    counts = []
+    costs = []
     for robots in (8, 32):
         world, positions = sized(robots), scattered(robots, 8)
         state = world.state(positions)
-        counts.append(compiler_cost(lambda world, state, v: world.step(state, v), world, state, positions))
-    assert 2.5 < np.log(counts[1]["operations"] / counts[0]["operations"]) / np.log(4) < 3.1
+        costs.append(compiler_cost(lambda world, state, v: world.step(state, v), world, state, positions))
+    assert 2.5 < np.log(costs[1]["operations"] / costs[0]["operations"]) / np.log(4) < 3.1
 
 
 def timings():
@@ -51,21 +52,17 @@ def timings():
     return [*rows, timing(TRAINING, "central policy, an action every 2 steps", 1e6, 5.0, worlds=256)]
 
 
+def counts(operations, functions, moved):
+    return {"operations": operations, "functions": functions, "bytes": moved}
+
+
 @pytest.fixture(scope="module")
 def data():
     cases = report.records(timings())
     costs = [
-        {
-            "part": SIZED,
-            "name": "a step",
-            "robots": 10,
-            "worlds": 256,
-            "operations": 2e4,
-            "functions": 5e2,
-            "bytes": 1e3,
-        },
-        {"part": TRAINING, "name": "an update", "kind": "central", "operations": 5e9, "functions": 1e8, "bytes": 1e9},
-        {"part": TRAINING, "name": "not timed", "kind": "local", "operations": 1e9, "functions": 1e8, "bytes": 1e9},
+        {"part": SIZED, "name": "a step", "robots": 10, "worlds": 256, **counts(2e4, 5e2, 1e3)},
+        {"part": TRAINING, "name": "an update", "kind": "central", **counts(5e9, 1e8, 1e9)},
+        {"part": TRAINING, "name": "not timed", "kind": "local", **counts(1e9, 1e8, 1e9)},
     ]
     about = {
         "processor": "P",

@@ -188,7 +188,7 @@ class PatternClass:
 
 @dataclass(frozen=True, eq=False)
 class Catalogue:
-    """Findings and their classes; made by `of`, `merge` and `from_dict`.
+    """Findings and their classes; made by `from_findings`, `merge` and `from_dict`.
 
     Attributes:
         findings: All findings, best first.
@@ -207,7 +207,7 @@ class Catalogue:
     reflection: bool
 
     @classmethod
-    def of(
+    def from_findings(
         cls,
         findings: Iterable[Finding],
         *,
@@ -264,7 +264,7 @@ class Catalogue:
         if not isinstance(data["findings"], list):
             raise InputError("findings", type(data["findings"]).__name__, "a list")
         findings = [Finding.from_dict(item, f"findings[{place}]") for place, item in enumerate(data["findings"])]
-        return cls.of(findings, **{name: data[name] for name in _OPTIONS})
+        return cls.from_findings(findings, **{name: data[name] for name in _OPTIONS})
 
     def rows(self) -> list[tuple[Any, ...]]:
         """Returns a table for a CSV file: the header, then a row for each class."""
@@ -286,7 +286,7 @@ def merge(catalogues: Iterable[Catalogue]) -> Catalogue:
             if other != first:
                 raise InputError(name, other, f"{first}, as in the first catalogue")
     findings = (finding for catalogue in catalogues for finding in catalogue.findings)
-    return Catalogue.of(findings, **{name: getattr(catalogues[0], name) for name in _OPTIONS})
+    return Catalogue.from_findings(findings, **{name: getattr(catalogues[0], name) for name in _OPTIONS})
 
 
 def _unique(findings: Iterable[Finding]) -> list[Finding]:

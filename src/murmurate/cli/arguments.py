@@ -16,7 +16,7 @@ from typing import Any, Literal, NoReturn, get_args, get_origin
 from murmurate.errors import UsageError, suggestion
 from murmurate.runs import config_io
 
-__all__ = ["Parser"]
+__all__ = ["Parser", "chosen_strategies"]
 
 
 class Parser(argparse.ArgumentParser):
@@ -30,6 +30,7 @@ class Parser(argparse.ArgumentParser):
 
     def __init__(self, verb: str, positionals: str, description: str) -> None:
         self._flags: set[str] = set()
+        self._tables: dict[str, Any] = {}
         self._leaves: dict[str, config_io.Leaf] = {}
         super().__init__(
             prog=f"murmurate {verb}",
@@ -67,6 +68,7 @@ class Parser(argparse.ArgumentParser):
             )
             self._flags.update(names)
             self._leaves[leaf.path] = leaf
+        self._tables.update(config_io.tables(config))
 
     def parse(self, argv: Sequence[str]) -> tuple[argparse.Namespace, dict[str, Any]]:
         """Reads a command line.
@@ -94,7 +96,11 @@ class Parser(argparse.ArgumentParser):
         """Refuses unknown flags, and ties negative values to their flags (argparse takes -1e-3 and -inf for flags)."""
         words: list[str] = []
         for word in argv:
-            name = word.partition("=")[0]
+            name, equals, text = word.partition("=")
+            new_name = _current_name(name)
+            if name not in self._flags and new_name in self._flags:
+                name, word = new_name, f"{new_name}{equals}{text}"
+            self._add_table_entry(name)
             if not word.startswith("-") or name in self._flags:
                 words.append(word)
             elif _is_number(word) and words and words[-1] in self._flags:
@@ -102,6 +108,37 @@ class Parser(argparse.ArgumentParser):
             else:
                 self.error(f"unknown flag {name}{suggestion(name, self._flags)}")
         return words
+
+    def _add_table_entry(self, flag: str) -> None:
+        """Adds the flag of a table's entry that is not there yet, such as --base.weights.calm."""
+        path = flag.removeprefix("--")
+        table, _, entry = path.rpartition(".")
+        if flag not in self._flags and table in self._tables and entry.isidentifier():
+            self.add_argument(flag, dest=path, help=argparse.SUPPRESS, default=argparse.SUPPRESS)
+            self._leaves[path] = config_io.Leaf(path, self._tables[table], None, "")
+
+
+def chosen_strategies(argv: Sequence[str], aliases: Mapping[str, str] | None = None) -> dict[str, Any]:
+    """Returns the classes of strategies that a command line chooses, as nested dictionaries: their fields become flags.
+
+    Args:
+        argv: The words after the verb.
+        aliases: Short flags by the leaf's path.
+    """
+    paths = {alias: path for path, alias in (aliases or {}).items()}
+    chosen = {}
+    for word, following in zip(argv, [*argv[1:], ""], strict=True):
+        name, equals, text = word.partition("=")
+        path = paths.get(name, _current_name(name).removeprefix("--"))
+        if name.startswith("--") and path.rpartition(".")[2] == config_io.USE:
+            chosen[path] = text if equals else following
+    return config_io.nested(chosen)
+
+
+def _current_name(flag: str) -> str:
+    """Returns the flag that version 0.1.0 spelled --start.kind as it is now: --start.use."""
+    section, dot, field = flag.rpartition(".")
+    return f"{section}.{config_io.USE}" if dot and field == config_io.OLD_USE else flag
 
 
 class _Formatter(argparse.HelpFormatter):
@@ -121,7 +158,7 @@ def _is_number(word: str) -> bool:
 def _summary(config: Any, section: str) -> str | None:
     """Returns the first line of what a section's class says about itself."""
     for name in section.split(".") if section else ():
-        config = getattr(config, name)
+        config = config[name] if isinstance(config, Mapping) else getattr(config, name)
     text = inspect.getdoc(type(config)) if dataclasses.is_dataclass(config) else None
     return text.partition("\n")[0].replace("%", "%%") if text else None
 

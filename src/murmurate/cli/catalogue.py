@@ -43,7 +43,7 @@ def run(argv: Sequence[str]) -> int:
     if not found:
         raise RunError(f"no valid pattern was found in {', '.join(options.runs)}")
     scaling, reflection = not options.no_scaling, not options.no_reflection
-    show(Catalogue.of(found, tolerance=options.tolerance, scaling=scaling, reflection=reflection), out)
+    show(Catalogue.from_findings(found, tolerance=options.tolerance, scaling=scaling, reflection=reflection), out)
     return 0
 
 

@@ -9,7 +9,7 @@ from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from murmurate.cli.arguments import Parser
+from murmurate.cli.arguments import Parser, chosen_strategies
 from murmurate.errors import UsageError
 from murmurate.runs.paper import EXPERIMENTS, check_experiment
 
@@ -39,10 +39,11 @@ def run(argv: Sequence[str]) -> int:
     from murmurate.runs.run import Run
     from murmurate.runs.train import discover
 
-    options, flags = _parser(word if word in EXPERIMENTS else "C").parse(argv)
+    options, flags = _parser(word, argv).parse(argv)
     _join(options)
     overlay = read_toml(options.config) if options.config else {}
-    config = presets.resolve(options.experiment, overlay, flags, learner=options.learner)
+    folders = _module_folders(options.config)
+    config = presets.resolve(options.experiment, overlay, flags, learner=options.learner, folders=folders)
     name = f"{config.name}-{options.learner or config.policy.name}"
     if options.seeds is not None or options.vary:
         if options.initial is not None:
@@ -70,8 +71,16 @@ def run(argv: Sequence[str]) -> int:
     return _print_results(discovered, folder)
 
 
-def _parser(shown: str) -> Parser:
+def _module_folders(config: str | None) -> list[Path]:
+    """Returns where the modules of "module:Class" are looked for besides the experiment's own folder."""
+    return [*([Path(config).parent] if config else []), Path.cwd()]
+
+
+def _parser(word: str | None, argv: Sequence[str]) -> Parser:
+    """Builds the parser: its flags are the fields of the strategies that the command line and its files choose."""
     from murmurate.runs import presets
+    from murmurate.runs.config_io import leaves
+    from murmurate.runs.experiment import read_toml
 
     parser = Parser("discover", "EXPERIMENT", "Trains the policies of an experiment, evaluates and draws them.")
     parser.add_argument("experiment", metavar="EXPERIMENT", help=f"{', '.join(EXPERIMENTS)}, or a TOML file")
@@ -99,9 +108,28 @@ def _parser(shown: str) -> Parser:
     parser.add_argument("--host", type=int, metavar="INT", help="index of this host, from 0; host 0 writes the run")
     text = "address and free port where host 0 listens"
     parser.add_argument("--coordinator", metavar="HOST:PORT", help=text)
-    parser.add_fields(presets.preset(shown), aliases={"policy.use": "--policy"})
-    parser.epilog = f"Defaults are those of experiment {shown} with the {presets.DEFAULT_LEARNER} learner."
+    aliases = {"policy.use": "--policy"}
+    given = {flag: _value(argv, flag) for flag in ("--config", "--learner")}
+    overlay = read_toml(given["--config"]) if given["--config"] else {}
+    shown = presets.resolve(
+        word or "C",
+        overlay,
+        chosen_strategies(argv, aliases),
+        learner=given["--learner"],
+        folders=_module_folders(given["--config"]),
+    )
+    parser.add_fields(shown, aliases, skip=[leaf.path for leaf in leaves(shown) if leaf.path.startswith("modules.")])
+    parser.epilog = f"Defaults are those of experiment {word or 'C'}. A class of your own: --start.use module:Class."
     return parser
+
+
+def _value(argv: Sequence[str], flag: str) -> str | None:
+    """Returns the value of a flag, before the command line is parsed."""
+    for word, following in zip(argv, [*argv[1:], ""], strict=True):
+        name, equals, text = word.partition("=")
+        if name == flag:
+            return text if equals else following or None
+    return None
 
 
 def _join(options: Namespace) -> None:

@@ -59,5 +59,5 @@ def discover_many(
     if not found:
         print(f"No valid pattern was discovered. The runs are kept in {out}.")
         return NOTHING_VALID
-    show(Catalogue.of(found), catalogue)
+    show(Catalogue.from_findings(found), catalogue)
     return 0

@@ -73,7 +73,7 @@ def _search(config: OptimumConfig, out: Path | None, command: str) -> int:
         return 3
     _print_comparison(config, best)
     if out is not None:
-        storage.write_json(out, BestKnown.of(config.target, best.positions, command).to_dict())
+        storage.write_json(out, BestKnown.from_target(config.target, best.positions, command).to_dict())
         print(f"pattern: {out}")
     return 0
 

@@ -40,6 +40,8 @@ def run(argv: Sequence[str]) -> int:
     parser.add_argument("--animation", metavar="FILE", help="write this file only, a .webp, .gif or .mp4")
     parser.add_argument("--mp4", action="store_true", help="animate as mp4 (needs the video extra) instead of GIF")
     parser.add_argument("--out", metavar="DIR", help="where to write (default: RUN/figures, or a folder in runs)")
+    text = "import the modules that the runs name, which executes them"
+    parser.add_argument("--trust", action="store_true", help=text)
     parser.add_argument("--robots", type=int, metavar="INT", help="swarm size, without RUN (default: 8)")
     parser.add_argument("--start", metavar="KIND", help="random, scattered, distributed or packed (default: random)")
     parser.add_argument("--objective", metavar="C1|C2", help="where to gather: C2 anywhere (default), C1 at the origin")
@@ -57,7 +59,7 @@ def run(argv: Sequence[str]) -> int:
         if options.out is None or options.episode is not None or options.mp4 or options.animation is not None:
             flags = "--episode, --animation nor --mp4"
             raise UsageError(f"of several runs, only the patterns are drawn: give --out, and neither {flags}")
-        return _draw_patterns(folders, Path(options.out))
+        return _draw_patterns(folders, Path(options.out), options.trust)
 
     from murmurate import plots
     from murmurate.plots.animation import check_target
@@ -65,7 +67,9 @@ def run(argv: Sequence[str]) -> int:
     if options.animation is not None:
         check_target(options.animation, "--animation")  # before patterns are formed
     if folders:
-        return _draw(plots.Recording.open(folders[0]), Path(options.out or folders[0] / "figures"), options)
+        return _draw(
+            plots.Recording.open(folders[0], options.trust), Path(options.out or folders[0] / "figures"), options
+        )
     return _form_patterns(options, **PRETRAINED | given)
 
 
@@ -106,10 +110,10 @@ def _draw(recording: Recording, out: Path, options: Namespace) -> int:
     return 0
 
 
-def _draw_patterns(folders: list[Path], out: Path) -> int:
+def _draw_patterns(folders: list[Path], out: Path, trust: bool) -> int:
     from murmurate import plots
 
-    recordings = [plots.Recording.open(folder) for folder in folders]
+    recordings = [plots.Recording.open(folder, trust) for folder in folders]
     names = [recording.experiment.name for recording in recordings]
     plots.save(plots.patterns_figure(recordings, names), out / "patterns.png")
     print(f"picture: {out / 'patterns.png'}")

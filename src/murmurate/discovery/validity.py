@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import maximum_bipartite_matching
 
-from murmurate.geometry import collides, distances, leaves, neighbors_and_visible
+from murmurate.geometry import _batch_last
 from murmurate.types import Trajectories
 from murmurate.world import Configuration, Signal, WorldConfig
 
@@ -63,7 +63,8 @@ def check_validity(
     """
     final = np.moveaxis(trajectories.final.astype(float), 0, -1)
     others = ~np.eye(world.robots, dtype=bool)
-    near, seen = (flags[others].all(axis=0) for flags in neighbors_and_visible(final, world.radius, world.scan_radius))
+    pairs = _batch_last.neighbors_and_visible(final, world.radius, world.scan_radius)
+    near, seen = (flags[others].all(axis=0) for flags in pairs)
     contact_free, inside = _contact_free_and_inside(trajectories.positions, world)
     configuration = Configuration(final, world)
     return Validity(
@@ -71,7 +72,7 @@ def check_validity(
         inside=inside,
         mutually_visible=seen,
         gathered=near,
-        safe=(distances(final)[others] >= world.safe_distance).all(axis=0),
+        safe=(_batch_last.distances(final)[others] >= world.safe_distance).all(axis=0),
         at_rest=trajectories.at_rest,
         signals={
             name: np.asarray(signal.value(configuration)) >= least
@@ -89,8 +90,8 @@ def _contact_free_and_inside(
     now = np.moveaxis(positions[:, 0].astype(float), 0, -1)
     for step in range(1, positions.shape[1]):
         after = np.moveaxis(positions[:, step].astype(float), 0, -1)
-        contact_free &= ~collides(now, after - now, world.radius)
-        inside &= ~leaves(after, world.half_width, world.half_height)
+        contact_free &= ~_batch_last.any_contact(now, after - now, world.radius)
+        inside &= ~_batch_last.any_outside(after, world.half_width, world.half_height)
         now = after
     return contact_free, inside
 

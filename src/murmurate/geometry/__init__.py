@@ -1,4 +1,7 @@
-"""Pure kernels on one configuration: who sees whom, and who touches whom. No word of learning.
+"""Geometry of one configuration or a batch of them: visibility, contact, similarity, convex hulls and rings.
+
+Positions are `(..., robots, 2)` with any batch axes first, in NumPy or JAX. Arguments are checked: a last axis that is
+not 2, NaN, or a radius <= 0 is an `InputError`.
 
 Example:
     >>> import numpy as np
@@ -8,41 +11,37 @@ Example:
 """
 
 from murmurate.geometry.contact import (
+    any_contact,
+    any_outside,
     clearances,
     closest_approach,
-    collides,
-    contacts,
+    contact_matrix,
     distances,
-    leaves,
+    in_contact,
     outside,
-    touches,
 )
 from murmurate.geometry.visibility import (
-    Counts,
-    counts,
-    hides,
     neighbors,
     neighbors_and_visible,
     occluded,
     shadow,
+    sole_occluder_counts,
     visible,
 )
 
 __all__ = [
-    "Counts",
+    "any_contact",
+    "any_outside",
     "clearances",
     "closest_approach",
-    "collides",
-    "contacts",
-    "counts",
+    "contact_matrix",
     "distances",
-    "hides",
-    "leaves",
+    "in_contact",
     "neighbors",
     "neighbors_and_visible",
     "occluded",
     "outside",
     "shadow",
-    "touches",
+    "sole_occluder_counts",
     "visible",
 ]

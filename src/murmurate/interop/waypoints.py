@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from murmurate.errors import GREATEST, InputError, RunError, check_number
-from murmurate.geometry import closest_approach, leaves
+from murmurate.geometry import any_outside, closest_approach
 from murmurate.runs import experiment as configuration
 from murmurate.runs import storage
 from murmurate.runs.evaluate import TRAJECTORIES
@@ -205,7 +205,7 @@ class Waypoints:
 
 def _passable(positions: Float[np.ndarray, "configurations robots 2"], experiment: ExperimentConfig) -> bool:
     world = experiment.world
-    inside = ~leaves(np.moveaxis(positions, 0, -1), world.half_width, world.half_height).any()
+    inside = ~any_outside(positions, world.half_width, world.half_height).any()
     return bool(
         inside and _nearest(positions, np.ones(len(positions) - 1), np.diff(positions, axis=0)) > 2 * world.radius
     )
@@ -217,8 +217,7 @@ def _nearest(positions: np.ndarray, durations: np.ndarray, velocities: np.ndarra
     moves = durations[:, None, None] * velocities
     if not len(moves):  # nobody moved
         positions, moves = positions, np.zeros_like(positions)
-    first, moved = (np.moveaxis(array, 0, -1) for array in (positions[: len(moves)], moves))
-    return float(closest_approach(first, moved)[others].min())
+    return float(closest_approach(positions[: len(moves)], moves)[:, others].min())
 
 
 def _metres(value: float) -> str:

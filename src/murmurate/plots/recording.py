@@ -6,19 +6,15 @@ import functools
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from murmurate.discovery import check_validity, policy_name
-from murmurate.errors import InputError, RunError
-from murmurate.runs import experiment as configuration
-from murmurate.runs import storage
-from murmurate.runs.evaluate import TRAJECTORIES
+from murmurate.errors import InputError
 from murmurate.runs.experiment import ExperimentConfig
-from murmurate.runs.run import METRICS
+from murmurate.runs.folder import RunFolder
 from murmurate.types import Trajectories
 
 __all__ = ["Episode", "Recording", "TrainingCurve"]
@@ -91,21 +87,19 @@ class Recording:
     training: Sequence[TrainingCurve] = ()
 
     @classmethod
-    def open(cls, run: str | os.PathLike[str]) -> Recording:
+    def open(cls, run: str | os.PathLike[str], trust: bool = False) -> Recording:
         """Reads the folder of a finished run.
 
         Args:
             run: The folder that `murmurate discover` wrote.
+            trust: Whether modules that the experiment names may be imported, which executes them.
 
         Raises:
-            RunError: The folder or one of its files is missing or malformed.
+            RunError: The folder or one of its files is missing or damaged, or names modules and is not trusted.
         """
-        folder = Path(run)
-        storage.verify(folder, storage.read_manifest(folder))
-        experiment = configuration.load(folder)
-        trajectories = _trajectories(storage.read_npz(folder / TRAJECTORIES), folder / TRAJECTORIES)
-        rows = [storage.json.loads(line) for line in storage.read_bytes(folder / METRICS).splitlines()]
-        return cls(experiment, trajectories, _curves(rows))
+        folder = RunFolder(run)
+        folder.verify()
+        return cls(folder.experiment(trust), folder.trajectories(), _curves(folder.metrics()))
 
     def __repr__(self) -> str:
         return f"Recording({self.experiment.name}: {self.trajectories!r})"
@@ -169,26 +163,6 @@ class Recording:
             signals={name: values[index, : length + 1] for name, values in self.trajectories.signals.items()},
             at_rest=bool(self.trajectories.at_rest[index]),
         )
-
-
-def _trajectories(arrays: Mapping[str, np.ndarray], file: Path) -> Trajectories:
-    """Returns the trajectories that a run folder holds, checked."""
-    try:
-        signals = arrays["signals"]
-        trajectories = Trajectories(
-            positions=arrays["positions"],
-            lengths=arrays["lengths"].astype(int),
-            switch=arrays["switch"].astype(int),
-            at_rest=arrays["at_rest"].astype(bool),
-            terminated=np.zeros(len(signals), bool),
-            signals={str(name): signals[..., place] for place, name in enumerate(arrays["signal_names"])},
-            epochs=np.zeros(len(signals), int),
-        )
-    except (KeyError, IndexError, ValueError, TypeError) as error:
-        raise RunError(f"{file} is malformed: {error}") from None
-    if not (np.isfinite(trajectories.positions).all() and np.isfinite(signals).all()):
-        raise RunError(f"{file} is malformed: positions or signals are not finite")
-    return trajectories
 
 
 def _curves(rows: Iterable[Mapping[str, Any]]) -> list[TrainingCurve]:

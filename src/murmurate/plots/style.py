@@ -21,7 +21,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from murmurate.errors import InputError
-from murmurate.runs import storage
+from murmurate.runs import files
 
 __all__ = [
     "COLORS",
@@ -184,8 +184,8 @@ def write_file(path: str | os.PathLike[str], data: bytes) -> None:
     Raises:
         RunError: The file cannot be written.
     """
-    storage.make_folder(Path(path).parent)
-    storage.write_bytes(Path(path), data)
+    files.make_folder(Path(path).parent)
+    files.write_bytes(Path(path), data)
 
 
 def png(figure: Figure, dpi: int = 180) -> bytes:

@@ -1,7 +1,7 @@
-"""What a robot can tell of its swarm without a frame: distances, and angles between directions.
+"""Features that describe a robot's surroundings independently of any frame: distances, and angles between directions.
 
-All of it is free of parameters, so no gradient ever passes through the pairs and triples below: on a CPU these wide,
-cheap sums cost less than learned layers of the same breadth would.
+The features have no parameters, so no gradient passes through the pairs and triples of robots below. On a CPU these
+wide, cheap sums cost less than learned layers of the same width would.
 """
 
 from __future__ import annotations
@@ -16,37 +16,45 @@ from jaxtyping import Array, Bool, Float
 from murmurate.policies.layers import fold
 from murmurate.world.config import WorldConfig
 
-__all__ = ["SHADOWS", "Surroundings", "measured", "pair_channels", "radial_basis", "robot_channels", "surroundings"]
+__all__ = [
+    "SHADOW_CHANNELS",
+    "Surroundings",
+    "pair_and_robot_features",
+    "pair_channels",
+    "radial_basis",
+    "robot_channels",
+    "surroundings",
+]
 
-SHADOWS = 6
-"""Channels of `_shadows`."""
+SHADOW_CHANNELS = 6
+"""Number of channels of `_shadows`."""
 
-NEAREST, FARTHEST = 0.4, 16.0
-"""Ends of the radial basis, in safe distances."""
+MIN_DISTANCE, MAX_DISTANCE = 0.4, 16.0
+"""Centres of the first and the last function of the radial basis, in safe distances."""
 
-NEIGHBOR, MEAN = 2.0, 8.0
-"""Where the neighbours on a ring and the mean distance lie in it if distances are stretched, in safe distances."""
+NEIGHBOR_DISTANCE, MEAN_DISTANCE = 2.0, 8.0
+"""Where normalised distances put the neighbours on a ring and the mean distance, in safe distances."""
 
-NEIGHBOR_FACTOR, LEAST_NEIGHBOR = -0.2, 1 / 3
-"""Neighbours on a ring are as far as the root of the mean distance times this factor's exponential; and the logarithm
-of the least distance that is stretched to theirs, in safe distances."""
+NEIGHBOR_FACTOR, MIN_LOG_NEIGHBOR = -0.2, 1 / 3
+"""Neighbours on a ring are as far as the square root of the mean distance times the exponential of the first number.
+The second is the logarithm of the least distance, in safe distances, that is normalised to theirs."""
 
-ROOM, ROOM_WIDTH = (-0.6, -0.3, 0.0, 0.3, 0.6, 1.2), 0.3
-"""Centres of the bells in how roomy it is, logarithms of widths in least ones, and their own width."""
+SPREAD_CENTERS, SPREAD_WIDTH = (-0.6, -0.3, 0.0, 0.3, 0.6, 1.2), 0.3
+"""Centres and width of the Gaussians in the logarithm of the relative spread."""
 
-LEAST_MEAN = 2.5
-"""Mean distance, in safe distances, of crowds so tight that they are stretched no further."""
+MIN_MEAN_DISTANCE = 2.5
+"""Mean distance, in safe distances, below which denser swarms are not normalised any further."""
 
 
 class Surroundings(NamedTuple):
-    """What every robot sees: the observer is the first robot axis, the observed the second.
+    """What every robot sees: the observer is the first robot axis, the observed robot the second.
 
     Attributes:
-        ux: x of the unit vectors towards the others; 0 on the diagonal.
+        ux: x of the unit vectors to the others; 0 on the diagonal.
         uy: y of them.
-        logarithm: Of the distances in safe distances, stretched where they are measured free of scale.
-        pair: Scalars of each pair, unchanged by moving or turning the swarm.
-        robot: Scalars of each robot, likewise.
+        logarithm: Logarithms of the distances in safe distances; normalised where features are free of scale.
+        pair: Scalars of each pair, which do not change when the swarm is moved or turned.
+        robot: Scalars of each robot, which do not change either.
     """
 
     ux: Float[Array, "robots robots *batch"]
@@ -58,24 +66,25 @@ class Surroundings(NamedTuple):
 
 def pair_channels(basis: int) -> int:
     """Returns the number of scalars of a pair."""
-    return basis + 2 * (basis // 2) + SHADOWS
+    return basis + 2 * (basis // 2) + SHADOW_CHANNELS
 
 
 def robot_channels(basis: int, landmark: bool, scale_free: bool = False) -> int:
     """Returns the number of scalars of a robot."""
-    return 2 * basis + SHADOWS + (2 * basis if landmark else 0) + (1 + len(ROOM) if scale_free else 0)
+    spread = 1 + len(SPREAD_CENTERS) if scale_free else 0
+    return 2 * basis + SHADOW_CHANNELS + (2 * basis if landmark else 0) + spread
 
 
 def centers(count: int) -> Float[Array, " basis"]:
-    """Logarithms of the centres of the radial basis, in safe distances: fine near by, coarse far away."""
-    return jnp.linspace(math.log(NEAREST), math.log(FARTHEST), count)
+    """Returns logarithms of the centres of the radial basis, in safe distances: dense nearby, sparse far away."""
+    return jnp.linspace(math.log(MIN_DISTANCE), math.log(MAX_DISTANCE), count)
 
 
 def radial_basis(logarithm: Float[Array, "*shape"], count: int) -> Float[Array, "basis *shape"]:
-    """Gaussians in the logarithm of the distance, in safe distances.
+    """Returns Gaussians in the logarithm of the distance.
 
     Args:
-        logarithm: Of the distances.
+        logarithm: Logarithms of the distances, in safe distances.
         count: Number of basis functions.
     """
     middle = centers(count)
@@ -83,60 +92,68 @@ def radial_basis(logarithm: Float[Array, "*shape"], count: int) -> Float[Array, 
     return jnp.exp(-0.5 * z * z)
 
 
-def stretched(
+def normalize_distances(
     logarithm: Float[Array, "robots robots *batch"], mean: Float[Array, "robots *batch"]
 ) -> Float[Array, "robots robots *batch"]:
-    """Stretches what is beyond the safe distance so that neighbours and the mean always lie at the same two places.
+    """Rescales distances beyond the safe distance so that neighbours and the mean always lie at the same two values.
 
-    On the smallest ring of N robots that all see each other the mean distance grows as N^2 and that of neighbours as N,
-    in proportion to its geometric mean with the safe distance. In between logarithms are stretched evenly.
+    On the smallest ring of N robots that all see each other the mean distance grows as N^2. The distance of neighbours
+    grows as N, in proportion to the geometric mean of the mean distance and the safe distance. Between these points
+    logarithms are mapped linearly.
 
     Args:
-        logarithm: Of the distances, in safe distances; the observer is the first axis.
-        mean: Mean distance of those that each robot sees, in safe distances.
+        logarithm: Logarithms of the distances, in safe distances; the observer is the first axis.
+        mean: Mean distance of the robots that each robot sees, in safe distances.
     """
-    middle = jnp.log(jnp.maximum(mean, LEAST_MEAN))[:, None]
-    near = jnp.maximum(0.5 * middle + NEIGHBOR_FACTOR, LEAST_NEIGHBOR)
-    inner = logarithm * (math.log(NEIGHBOR) / near)
-    outer = math.log(NEIGHBOR) + (logarithm - near) * (math.log(MEAN / NEIGHBOR) / (middle - near))
+    middle = jnp.log(jnp.maximum(mean, MIN_MEAN_DISTANCE))[:, None]
+    near = jnp.maximum(0.5 * middle + NEIGHBOR_FACTOR, MIN_LOG_NEIGHBOR)
+    inner = logarithm * (math.log(NEIGHBOR_DISTANCE) / near)
+    slope = math.log(MEAN_DISTANCE / NEIGHBOR_DISTANCE) / (middle - near)
+    outer = math.log(NEIGHBOR_DISTANCE) + (logarithm - near) * slope
     return jnp.where(logarithm > near, outer, jnp.where(logarithm > 0, inner, logarithm))
 
 
-def counted(others: Float[Array, "robots *batch"], count: int) -> Float[Array, "basis robots *batch"]:
-    """Weights by which sums over a robot's view are alike on rings of any size, basis function by basis function.
+def count_weights(others: Float[Array, "robots *batch"], count: int) -> Float[Array, "basis robots *batch"]:
+    """Returns weights by which sums over a robot's view are similar on rings of any size, for each basis function.
 
-    As near as neighbours, so many fit in and they are counted; those as far as the mean distance are counted by their
-    share; in between, where on a ring their number grows as a power of N, by that.
-    """
-    place = jnp.clip((centers(count) - math.log(NEIGHBOR)) / math.log(MEAN / NEIGHBOR), 0.0, 1.0)
-    return (MEAN / others) ** place.reshape((-1,) + (1,) * others.ndim)
-
-
-def roominess(
-    mean: Float[Array, "robots *batch"], others: Float[Array, "robots *batch"], world: WorldConfig
-) -> Float[Array, "room_channels robots *batch"]:
-    """Says how much wider what each robot sees is than the least ring of as many robots that all see each other.
-
-    On a ring whose radius is r the mean distance is about 4 r / pi. The least radius is 0.076 N^2 radii where robots
-    are not to hide each other, and N safe distances / (2 pi) where neighbours are to keep the safe distance.
+    Robots as near as neighbours on a ring are counted: only so many fit. Robots as far as the mean distance are
+    averaged. In between, where their number on a ring grows as a power of N, the weight is that power.
 
     Args:
-        mean: Mean distance of those that each robot sees, world units.
-        others: How many it sees.
-        world: Units of length.
+        others: How many robots each robot sees.
+        count: Number of basis functions.
+    """
+    span = math.log(MEAN_DISTANCE / NEIGHBOR_DISTANCE)
+    exponent = jnp.clip((centers(count) - math.log(NEIGHBOR_DISTANCE)) / span, 0.0, 1.0)
+    return (MEAN_DISTANCE / others) ** exponent.reshape((-1,) + (1,) * others.ndim)
+
+
+def relative_spread(
+    mean: Float[Array, "robots *batch"], others: Float[Array, "robots *batch"], world: WorldConfig
+) -> Float[Array, "spread_channels robots *batch"]:
+    """Returns how wide the visible swarm is, relative to the smallest ring of as many robots that all see each other.
+
+    On a ring of radius r the mean distance is about 4 r / pi. The smallest radius is 0.076 N^2 radii where robots must
+    not occlude each other, and N safe distances / (2 pi) where neighbours must keep the safe distance.
+
+    Args:
+        mean: Mean distance of the robots that each robot sees, world units.
+        others: How many robots each robot sees.
+        world: Sizes of the world and its robots.
     """
     robots = others + 1
-    least = jnp.maximum(0.0967 * world.radius * robots**2, 0.2026 * world.safe_distance * robots**2 / others)
-    logarithm = jnp.log(mean / least + 1e-3)
-    bells = [jnp.exp(-0.5 * ((logarithm - place) / ROOM_WIDTH) ** 2) for place in ROOM]
-    return jnp.stack([jnp.tanh(logarithm), *bells])
+    smallest = jnp.maximum(0.0967 * world.radius * robots**2, 0.2026 * world.safe_distance * robots**2 / others)
+    logarithm = jnp.log(mean / smallest + 1e-3)
+    gaussians = [jnp.exp(-0.5 * ((logarithm - center) / SPREAD_WIDTH) ** 2) for center in SPREAD_CENTERS]
+    return jnp.stack([jnp.tanh(logarithm), *gaussians])
 
 
 def _shadows(ux: Array, uy: Array, distance: Array, radius: float) -> Float[Array, "6 robots robots *batch"]:
-    """Says how third robots crowd each line of sight, in units of the angle at which shadows begin to fall.
+    """Returns how near third robots come to each line of sight, in units of the angle at which occlusion begins.
 
-    For observer k, observed i and a third robot j: a bell and a slope (which side) of j's angular offset, summed over
-    the j nearer than i (they hide i), over the j farther (i hides them), and over the j behind k (k stands between).
+    For observer k, observed robot i and a third robot j the terms are a bell of j's angular offset, and the bell times
+    the offset, which tells the side. They are summed over three kinds of j: those nearer than i, which may occlude it;
+    those farther, which i may occlude; and those behind k, which k may occlude from i.
     """
     half = radius / distance
     number = jax.lax.broadcasted_iota(jnp.int32, distance.shape[1:], 0)
@@ -145,12 +162,12 @@ def _shadows(ux: Array, uy: Array, distance: Array, radius: float) -> Float[Arra
         jx, jy, jd, jh = (a[:, j, None] for a in (ux, uy, distance, half))
         z = (ux * jy - uy * jx) / (half + jh)
         cos = ux * jx + uy * jy
-        # j is no third robot where i is j itself; where k is i or j the unit vector, so the cosine, is 0.
+        # Robot i itself is no third robot. Where k is i or j the unit vector is 0, and so is the cosine.
         bell = jnp.where(number == j, 0.0, 1 / (1 + z * z) ** 2)
         ahead = jnp.where(cos > 0, bell, 0.0)
-        hiding = jnp.where(jd < distance, ahead, 0.0)
+        nearer = jnp.where(jd < distance, ahead, 0.0)
         behind = jnp.where(cos < 0, bell, 0.0)
-        return tuple(w * factor for w in (hiding, ahead - hiding, behind) for factor in (1.0, z))
+        return tuple(w * factor for w in (nearer, ahead - nearer, behind) for factor in (1.0, z))
 
     return jnp.stack(fold(third, distance.shape[1]))
 
@@ -158,11 +175,11 @@ def _shadows(ux: Array, uy: Array, distance: Array, radius: float) -> Float[Arra
 def point(
     x: Float[Array, "robots *batch"], y: Float[Array, "robots *batch"], basis: int, scale: float
 ) -> tuple[Float[Array, "robots *batch"], Float[Array, "robots *batch"], Float[Array, "basis robots *batch"]]:
-    """Direction of the gathering point, fading within a quarter of a safe distance, and the basis of its distance.
+    """Returns the direction to a point, shortened within a quarter of a safe distance, and the basis of its distance.
 
     Args:
-        x: Coordinate of the point, from where each robot is.
-        y: The other one.
+        x: First coordinate of the point, relative to each robot.
+        y: Second coordinate.
         basis: Number of radial basis functions.
         scale: The safe distance.
     """
@@ -179,14 +196,15 @@ def surroundings(
     *,
     scale_free: bool = False,
 ) -> Surroundings:
-    """Measures what every robot sees of every other, and of the gathering point where there is one."""
+    """Returns the features of every robot where each knows all positions; for the arguments see below."""
     dx = positions[None, :, 0] - positions[:, None, 0]
     dy = positions[None, :, 1] - positions[:, None, 1]
     apart = dx * dx + dy * dy > 0
-    return measured(dx, dy, apart, -positions[:, 0], -positions[:, 1], basis, world, landmark, scale_free=scale_free)
+    target = (-positions[:, 0], -positions[:, 1])
+    return pair_and_robot_features(dx, dy, apart, *target, basis, world, landmark, scale_free=scale_free)
 
 
-def measured(
+def pair_and_robot_features(
     dx: Float[Array, "robots robots *batch"],
     dy: Float[Array, "robots robots *batch"],
     apart: Bool[Array, "robots robots *batch"],
@@ -198,19 +216,19 @@ def measured(
     *,
     scale_free: bool = False,
 ) -> Surroundings:
-    """Measures what every robot sees, of those that it does see; the observer is the first axis.
+    """Returns the features of every robot and pair, from the robots that each robot sees.
 
     Args:
-        dx: Coordinate of each robot, from where the observer is.
-        dy: The other one.
-        apart: Which robots it sees, and which are not where it is itself. What the others' coordinates are is ignored.
-        point_x: Coordinate of the gathering point, likewise.
-        point_y: The other one.
+        dx: First coordinate of each robot (second axis) relative to the observer (first axis).
+        dy: Second coordinate.
+        apart: Which robots the observer sees, at another place than its own; the coordinates of the others are ignored.
+        point_x: First coordinate of the gathering point relative to the observer.
+        point_y: Second coordinate.
         basis: Number of radial basis functions.
-        world: Units of length.
+        world: Sizes of the world and its robots.
         landmark: Whether the gathering point is known.
-        scale_free: Whether those beyond the safe distance are measured by the mean distance of all that are seen, and
-            by their share of these: then large, wide swarms look to a robot as small, narrow ones do.
+        scale_free: Whether distances beyond the safe distance are normalised by the mean distance, and far robots are
+            averaged instead of counted, so that large, wide swarms look like small, narrow ones.
     """
     square = dx * dx + dy * dy
     distance = jnp.sqrt(jnp.where(apart, square, 1.0))
@@ -219,7 +237,7 @@ def measured(
     logarithm = jnp.log(distance / world.safe_distance + 1e-6)
     mean = jnp.sum(jnp.where(apart, distance, 0.0), axis=1) / others
     if scale_free:
-        logarithm = stretched(logarithm, mean / world.safe_distance)
+        logarithm = normalize_distances(logarithm, mean / world.safe_distance)
     radial = radial_basis(logarithm, basis)
     radial = radial * apart.astype(dx.dtype)
 
@@ -228,10 +246,11 @@ def measured(
 
     crowd, sx, sy = (total * 0.25 for total in fold(seen, dx.shape[1]))
     if scale_free:
-        crowd, sx, sy = (counted(others, basis) * total for total in (crowd, sx, sy))
-    # Where i lies in the crowd around k, ring by ring, two basis functions to a ring.
-    rings = basis // 2
-    rx, ry = (s[: 2 * rings].reshape((rings, 2, *s.shape[1:])).sum(axis=1)[:, :, None] for s in (sx, sy))
+        crowd, sx, sy = (count_weights(others, basis) * total for total in (crowd, sx, sy))
+    # The direction to i along and across the mean direction of the robots in each range of distances, two basis
+    # functions to a range.
+    ranges = basis // 2
+    rx, ry = (s[: 2 * ranges].reshape((ranges, 2, *s.shape[1:])).sum(axis=1)[:, :, None] for s in (sx, sy))
     shadows = _shadows(ux, uy, distance, world.radius)
     pair = jnp.concatenate([radial, rx * ux + ry * uy, rx * uy - ry * ux, shadows])
     robot = [crowd, jnp.sqrt(sx * sx + sy * sy), shadows.sum(axis=2) / 4]
@@ -239,5 +258,5 @@ def measured(
         px, py, near = point(point_x, point_y, basis, world.safe_distance)
         robot += [near, sx * px + sy * py]
     if scale_free:
-        robot.append(roominess(mean, others, world))
+        robot.append(relative_spread(mean, others, world))
     return Surroundings(ux, uy, logarithm, pair, jnp.concatenate(robot))

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 __all__ = ["Dense", "Linear", "Tanh", "bounded", "fold"]
 
 
-MOST_UNROLLED = 10
+MAX_UNROLLED = 10
 """Terms that are written out; more would take long to compile."""
 
 
@@ -28,7 +28,7 @@ def fold(term: Callable[[int], tuple[Array, ...]], count: int) -> tuple[Array, .
     if not isinstance(count, int):
         terms = jax.vmap(term)(jax.lax.iota(jnp.int32, count))
         return jax.tree.map(lambda each: jnp.sum(each, axis=0), terms)
-    if count > MOST_UNROLLED:
+    if count > MAX_UNROLLED:
         return jax.lax.fori_loop(1, count, lambda i, total: jax.tree.map(jnp.add, total, term(i)), term(0))
     total = term(0)
     for index in range(1, count):

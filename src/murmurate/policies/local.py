@@ -28,9 +28,9 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from murmurate.policies.base import Policy, PolicyNetwork
 from murmurate.policies.equivariant import SharedPolicy, ValueHead
 from murmurate.policies.features import (
-    SHADOWS,
+    SHADOW_CHANNELS,
     Surroundings,
-    measured,
+    pair_and_robot_features,
     pair_channels,
     point,
     radial_basis,
@@ -102,7 +102,7 @@ class LocalNetwork(PolicyNetwork):
         x, y = view.x * scale[:, None], view.y * scale[:, None]
         px, py = view.landmark_x * scale, view.landmark_y * scale
         seen = view.seen & (x * x + y * y > 0)
-        around = measured(x, y, seen, px, py, self.basis, world, self.landmark, scale_free=True)
+        around = pair_and_robot_features(x, y, seen, px, py, self.basis, world, self.landmark, scale_free=True)
         square = jnp.where(seen, x * x + y * y, 1.0)
         outline = hull(around.ux, around.uy, jnp.sqrt(square) / world.radius, seen)
         nodes = jnp.tanh(self.node(jnp.concatenate([_compressed(around.robot), outline.robot])))
@@ -119,7 +119,7 @@ class LocalNetwork(PolicyNetwork):
 
     def _weight(self, around: Surroundings) -> Array:
         """How much each robot seen counts, besides in the mean."""
-        hiding, _, hidden, _, behind, _ = around.pair[-SHADOWS:]
+        hiding, _, hidden, _, behind, _ = around.pair[-SHADOW_CHANNELS:]
         critical = jnp.tanh(hiding + hidden + behind)
         # However many they are, they weigh no more than so many.
         most = CRITICAL / (CRITICAL + jnp.sum(critical, axis=1))[:, None]

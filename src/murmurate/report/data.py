@@ -54,7 +54,7 @@ class Measures:
         robots: Swarm size.
         start: Kind of start.
         half_side: X = Y, world units.
-        outcome: What the manifest says.
+        valid_pattern: Whether the training discovered a valid pattern.
         policies: Length of the list of policies.
         episodes: Episodes of the evaluation.
         valid: Of these, those that ended in a valid pattern.
@@ -81,7 +81,7 @@ class Measures:
     robots: int
     start: str
     half_side: float
-    outcome: str
+    valid_pattern: bool
     policies: int
     episodes: int
     valid: int | None
@@ -115,7 +115,7 @@ def measure(result: Result) -> Measures:
         robots=config.world.robots,
         start=config.start.name,
         half_side=config.world.half_width,
-        outcome=manifest["outcome"],
+        valid_pattern=bool(manifest["valid_pattern"]),
         policies=len(manifest["policies"]),
         episodes=episodes,
         valid=_count(summary["valid"], episodes),

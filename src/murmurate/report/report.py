@@ -10,7 +10,7 @@ import platform
 import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from importlib.resources import files
+from importlib import resources
 from pathlib import Path
 from string import Template
 from typing import Any
@@ -23,9 +23,9 @@ from murmurate.report.figures import FOLDER, Pictures, draw_figures
 from murmurate.report.plan import TRAINING_PRESETS
 from murmurate.report.render import to_html
 from murmurate.report.tables import code, duration, plain
-from murmurate.runs import storage
+from murmurate.runs import files
+from murmurate.runs.folder import RunFolder
 from murmurate.runs.paper import EXPERIMENTS
-from murmurate.runs.train import VALID
 
 __all__ = ["FORMAT", "HTML", "MARKDOWN", "NUMBERS", "Report", "check", "make", "write"]
 
@@ -72,7 +72,7 @@ def make(data: ReportData) -> Report:
     """Makes a report; draws all of its pictures."""
     pictures = Pictures()
     quick = data.plan.quick
-    template = Template((files("murmurate.report") / "report.md").read_text("utf-8"))
+    template = Template((resources.files("murmurate.report") / "report.md").read_text("utf-8"))
     parts = _text(data) | _tables(data) | draw_figures(data, pictures)
     kind = "Quick report" if quick else "Report"
     parts["subtitle"] = f"{kind} by murmurate {__version__}, seed {data.plan.seed}"
@@ -156,7 +156,7 @@ def _text(data: ReportData) -> dict[str, str]:
 
 
 def _without_pattern(data: ReportData) -> str:
-    names = [code(name) for name, run in data.measures.items() if run.outcome != VALID]
+    names = [code(name) for name, run in data.measures.items() if not run.valid_pattern]
     return f"> No valid pattern was discovered by {', '.join(names)}." if names else ""
 
 
@@ -219,13 +219,13 @@ def check(folder: str | Path) -> None:
         RunError: The folder holds something else than a report, or cannot be written to.
     """
     folder = Path(folder)
-    with storage.os_errors_as_run_errors(f"cannot write to {folder}"):
+    with files.os_errors_as_run_errors(f"cannot write to {folder}"):
         present = folder.exists() and any(folder.iterdir())
     if not present:
-        storage.claim(folder)
+        RunFolder(folder).create()
         return
     try:
-        numbers: Any = storage.read_json(folder / NUMBERS)
+        numbers: Any = files.read_json(folder / NUMBERS)
     except RunError:
         numbers = None
     is_report = isinstance(numbers, dict) and numbers.get("format") == FORMAT and {"command", "quick"} <= numbers.keys()
@@ -240,10 +240,10 @@ def write(report: Report, folder: str | Path) -> None:
         RunError: A file cannot be written.
     """
     folder = Path(folder)
-    storage.make_folder(folder / FOLDER)
+    files.make_folder(folder / FOLDER)
     # First the file by which `check` knows a report: an interrupted one can then be replaced.
-    storage.write_json(folder / NUMBERS, report.numbers)
+    files.write_json(folder / NUMBERS, report.numbers)
     for path, data in report.pictures.items():
-        storage.write_bytes(folder / path, data)
-    storage.write_text(folder / MARKDOWN, report.markdown)
-    storage.write_text(folder / HTML, report.html)
+        files.write_bytes(folder / path, data)
+    files.write_text(folder / MARKDOWN, report.markdown)
+    files.write_text(folder / HTML, report.html)

@@ -172,7 +172,7 @@ def runs_table(runs: Sequence[Measures], machines: Mapping[str, int]) -> str:
         (
             code(run.run),
             str(run.seed),
-            plain(run.outcome),
+            "valid patterns" if run.valid_pattern else "no valid pattern",
             str(run.policies),
             f"{run.environment_steps / 1e6:.2f} M",
             duration(run.train_seconds),

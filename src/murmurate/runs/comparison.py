@@ -428,6 +428,7 @@ def _read_rows(path: Path, settings: Mapping[str, Any]) -> dict[Condition, dict[
         raise RunError(f"{path} is damaged: a row lacks {error}") from None
 
 
+@prng.reproducible()
 def _evaluate(comparison: Comparison, condition: Condition, policies: tuple[Any, ...]) -> dict[str, Any]:
     """Runs a method under one condition, and returns its row of the table."""
     problem = comparison.problem(condition)
@@ -511,5 +512,5 @@ def _left(final: Float[np.ndarray, "episodes robots 2"], world: WorldConfig) -> 
 
 
 def _visible_fraction(final: Float[np.ndarray, "episodes robots 2"], world: WorldConfig) -> np.ndarray:
-    _, seen = neighbors_and_visible(np.moveaxis(final, 0, -1), world.radius, world.scan_radius)
-    return seen.sum(axis=(0, 1)) / (world.robots * (world.robots - 1))
+    _, seen = neighbors_and_visible(final, world.radius, world.scan_radius)
+    return seen.sum(axis=(1, 2)) / (world.robots * (world.robots - 1))

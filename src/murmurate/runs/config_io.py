@@ -42,6 +42,7 @@ __all__ = [
     "spelled",
     "strategies",
     "table_kind",
+    "tables",
     "to_dict",
 ]
 
@@ -177,6 +178,16 @@ def leaves(config: Any, where: str = "") -> Iterator[Leaf]:
             yield from leaves(value, path)
         else:
             yield Leaf(path, kind, value, texts.get(name, ""))
+
+
+def tables(config: Any, where: str = "") -> Iterator[tuple[str, Any]]:
+    """Yields the dotted path and the type of the entries of every table of numbers or texts by name."""
+    for name, kind in _kinds(type(config)).items():
+        path, table = _join(where, name), table_kind(kind)
+        if table is not None and not _is_section(table):
+            yield path, table
+        elif table is None and _is_section(kind):
+            yield from tables(getattr(config, name), path)
 
 
 def strategies(config: Any, where: str = "") -> Iterator[tuple[str, Strategy]]:

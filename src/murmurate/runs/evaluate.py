@@ -110,7 +110,7 @@ class Evaluation:
         target, best = self.target, self.best
         if target is None or best is None or not is_record(target, float(self.values[best])):
             return None
-        return BestKnown.of(target, self.trajectories.final[best].astype(float), command(self.experiment))
+        return BestKnown.from_target(target, self.trajectories.final[best].astype(float), command(self.experiment))
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Returns what trajectories.npz holds."""

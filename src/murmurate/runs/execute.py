@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import abc
 import contextlib
-import fcntl
 import os
 import signal
 import subprocess
@@ -25,6 +24,11 @@ from murmurate.runs import files, worker
 from murmurate.runs.grid import MAX_RUNS
 from murmurate.runs.jobs import Job, JobStatus, initial_statuses
 from murmurate.runs.live_table import LiveTable
+
+try:
+    import fcntl
+except ImportError:  # not a POSIX system: folders are not locked
+    fcntl = None
 
 __all__ = [
     "Batch",
@@ -95,7 +99,8 @@ def locked(folder: Path) -> Iterator[None]:
         lock = (folder / ".lock").open("a")
     with lock:
         try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if fcntl is not None:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             raise RunError(f"{folder}: another command is at work there") from None
         yield

@@ -11,7 +11,7 @@ from typing import Any, Literal
 from murmurate.discovery import Problem
 from murmurate.discovery.problem import GATHERING
 from murmurate.errors import InputError, RunError, check_choice, check_number
-from murmurate.registry import Importer, Strategy, source_folder
+from murmurate.registry import Importer, source_folder
 from murmurate.runs import config_io, files
 from murmurate.world import OBJECTIVES, FileStart, scaled_to
 
@@ -185,15 +185,12 @@ def save(config: ExperimentConfig, folder: str | Path) -> None:
         files.write_bytes(folder / STARTS, Path(start.file).read_bytes())
 
 
-def load(
-    folder: str | Path, trusted: bool = False, imported: Mapping[str, type[Strategy]] | None = None
-) -> ExperimentConfig:
+def load(folder: str | Path, trusted: bool = False) -> ExperimentConfig:
     """Reads the configuration of a run.
 
     Args:
         folder: The run folder.
         trusted: Whether the modules that it names may be imported, which executes them.
-        imported: Classes that are imported already, by what configurations call them.
 
     Raises:
         RunError: It is missing or not one that this version understands.
@@ -201,8 +198,7 @@ def load(
     path = Path(folder) / EXPERIMENT
     try:
         data = read_toml(path)
-        importer = replace(make_importer(data, trusted=trusted), imported=imported or {})
-        return config_io.from_dict(ExperimentConfig, data, importer=importer)
+        return config_io.from_dict(ExperimentConfig, data, importer=make_importer(data, trusted=trusted))
     except InputError as error:
         raise RunError(f"{path}: {error}") from None
     except OSError as error:
@@ -215,9 +211,8 @@ def check_same(config: ExperimentConfig, folder: str | Path) -> None:
     Raises:
         RunError: It holds another; the message names the first field that differs.
     """
-    # Nothing that only the folder names is imported.
-    imported = {part.name: type(part) for _, part in config_io.strategies(config) if part.is_foreign()}
-    recorded = {leaf.path: leaf.value for leaf in config_io.leaves(load(folder, imported=imported))}
+    # Nothing that only the folder names is imported: it is not trusted.
+    recorded = {leaf.path: leaf.value for leaf in config_io.leaves(load(folder))}
     given = {leaf.path: leaf.value for leaf in config_io.leaves(config)}
     for path in dict.fromkeys((*given, *recorded)):
         if path.startswith("modules."):

@@ -20,11 +20,9 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
-import platform
 import shutil
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from importlib import metadata
 from pathlib import Path
 from typing import Any, Literal
 
@@ -33,7 +31,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from murmurate import __version__
 from murmurate.discovery import Search, Snapshot, policy_name, policy_templates
 from murmurate.errors import RunError
 from murmurate.runs import experiment as configuration
@@ -46,7 +43,7 @@ try:
 except ImportError:  # not a POSIX system: runs are not locked
     fcntl = None
 
-__all__ = ["Checkpoint", "FolderState", "RunFolder", "describe_machine", "describe_starts", "is_fresh"]
+__all__ = ["Checkpoint", "FolderState", "RunFolder", "describe_starts", "is_fresh"]
 
 FORMAT = 1
 MANIFEST = "manifest.json"
@@ -60,9 +57,6 @@ LOCK = ".training.lock"
 FolderState = Literal["new", "unfinished", "finished"]
 """What a folder holds: nothing yet, a run whose training can be continued, or a finished run."""
 
-_PACKAGES = ("jax", "jaxlib", "equinox", "optax", "numpy")
-_FLAGS = ("jax_enable_x64", "jax_default_prng_impl", "jax_threefry_partitionable", "jax_default_matmul_precision")
-_VARIABLES = ("XLA_FLAGS", "OMP_NUM_THREADS")
 _NO_LOCKS = (errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS, errno.EINVAL)
 
 _FRACTIONS = ("valid", "contact_free", "inside", "mutually_visible", "gathered", "safe", "at_rest")
@@ -504,14 +498,12 @@ class RunFolder:
         files.write_json(self.path / EVALUATION, summary)
 
     def copy_to(self, folder: str | os.PathLike[str]) -> RunFolder:
-        """Copies a finished run without its evaluation and figures, unless the folder holds a copy of it already.
+        """Copies a finished run without its evaluation and figures.
 
         Raises:
-            RunError: The folder holds something else, or cannot be written to; or this run is damaged.
+            RunError: The folder holds something, or cannot be written to; or this run is damaged.
         """
         manifest, copy = self.verify(), RunFolder(folder)
-        if (copy.path / MANIFEST).is_file() and copy.manifest() == manifest:
-            return copy
         copy.create()
         # The manifest last: it marks the copy as complete.
         for name in (*manifest["checksums"], METRICS, MANIFEST):
@@ -536,32 +528,6 @@ def describe_starts(summary: Mapping[str, Any]) -> str:
     """
     starts = summary["starts"]
     return f"starts of {starts['name']}" if starts["kind"] == "file" else f"{starts['kind']} starts"
-
-
-def describe_machine() -> dict[str, Any]:
-    """Returns what a run's numbers depend on besides its configuration: versions, machine, threads and flags."""
-    devices = jax.devices()
-    return {
-        "murmurate": __version__,
-        "versions": {"python": platform.python_version()} | {name: metadata.version(name) for name in _PACKAGES},
-        "platform": platform.platform(),
-        "cpu": _cpu_name(),
-        # XLA sums in as many parts as it has threads, which it takes from the CPUs that this process may use.
-        "threads": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
-        "device": devices[0].device_kind,
-        "devices": len(devices),
-        "flags": {name: getattr(jax.config, name, None) for name in _FLAGS}
-        | {name: os.environ[name] for name in _VARIABLES if name in os.environ},
-    }
-
-
-def _cpu_name() -> str:
-    with contextlib.suppress(OSError), open("/proc/cpuinfo", encoding="utf-8") as file:
-        for line in file:
-            name, _, value = line.partition(":")
-            if name.strip() == "model name":
-                return value.strip()
-    return platform.processor() or platform.machine()
 
 
 def _acquire(file: Any) -> bool:

@@ -155,14 +155,14 @@ class Run:
         """
         if isinstance(starts, int | np.integer):
             return self.cascade.rollout(self.starts(int(starts), key), rollout_seed(key))
+        shape = f"of shape (episodes, {self.experiment.world.robots}, 2)"
         try:
             points = np.asarray(starts, float)
         except (TypeError, ValueError):
-            points = np.empty(0)
+            raise InputError("starts", starts, f"an array of numbers {shape}") from None
         points = points[None] if points.ndim == 2 else points
-        robots = self.experiment.world.robots
-        if points.ndim != 3 or points.shape[1:] != (robots, 2):
-            raise InputError("starts", f"an array {np.shape(points)}", f"of shape (episodes, {robots}, 2)")
+        if points.ndim != 3 or points.shape[1:] != (self.experiment.world.robots, 2):
+            raise InputError("starts", f"an array {points.shape}", shape)
         check_draw(len(points), key)
         check_configurations(points, self.experiment.world, "starts")
         return self.cascade.rollout(points, rollout_seed(key))

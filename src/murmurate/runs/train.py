@@ -6,24 +6,33 @@ import contextlib
 import functools
 import json
 import math
+import os
+import platform
 import statistics
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from murmurate import prng
+import jax
+
+from murmurate import __version__, prng
 from murmurate.discovery import Search, advance_together, build_cascade, check_parts, policy_name, policy_templates
 from murmurate.errors import RunError
 from murmurate.learning import sharding
 from murmurate.runs import config_io, files
 from murmurate.runs.evaluate import EPISODES, Evaluation, evaluate
 from murmurate.runs.experiment import ExperimentConfig
-from murmurate.runs.folder import Checkpoint, FolderState, RunFolder, describe_machine
+from murmurate.runs.folder import Checkpoint, FolderState, RunFolder
 from murmurate.runs.run import Run
 
 __all__ = ["discover", "discover_together"]
+
+_PACKAGES = ("jax", "jaxlib", "equinox", "optax", "numpy")
+_FLAGS = ("jax_enable_x64", "jax_default_prng_impl", "jax_threefry_partitionable", "jax_default_matmul_precision")
+_VARIABLES = ("XLA_FLAGS", "OMP_NUM_THREADS")
 
 
 def discover(
@@ -352,7 +361,7 @@ def _write_results(training: _Training, evaluation: Evaluation) -> dict[str, Any
     origin = folder.initial(config)[1]
     manifest = folder.write_manifest(
         {
-            **describe_machine(),
+            **_describe_machine(),
             "seed": config.seed,
             "experiment": config.name,
             "robots": config.world.robots,
@@ -366,6 +375,32 @@ def _write_results(training: _Training, evaluation: Evaluation) -> dict[str, Any
     )
     folder.remove_checkpoint()
     return manifest
+
+
+def _describe_machine() -> dict[str, Any]:
+    """Returns what a run's numbers depend on besides its configuration: versions, machine, threads and flags."""
+    devices = jax.devices()
+    return {
+        "murmurate": __version__,
+        "versions": {"python": platform.python_version()} | {name: metadata.version(name) for name in _PACKAGES},
+        "platform": platform.platform(),
+        "cpu": _cpu_name(),
+        # XLA sums in as many parts as it has threads, which it takes from the CPUs that this process may use.
+        "threads": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
+        "device": devices[0].device_kind,
+        "devices": len(devices),
+        "flags": {name: getattr(jax.config, name, None) for name in _FLAGS}
+        | {name: os.environ[name] for name in _VARIABLES if name in os.environ},
+    }
+
+
+def _cpu_name() -> str:
+    with contextlib.suppress(OSError), open("/proc/cpuinfo", encoding="utf-8") as file:
+        for line in file:
+            name, _, value = line.partition(":")
+            if name.strip() == "model name":
+                return value.strip()
+    return platform.processor() or platform.machine()
 
 
 # Old names, for modules that are not ported yet

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import fcntl
 import importlib
 import json
 import os
@@ -24,6 +23,11 @@ from typing import Any
 
 from murmurate import compilation_cache
 from murmurate.errors import InputError, RunError
+
+try:
+    import fcntl
+except ImportError:  # not a POSIX system: a worker does not wait for another one
+    fcntl = None
 
 __all__ = ["LOG", "end_reason", "start_process", "work"]
 
@@ -89,7 +93,8 @@ def work(spec: str, threads: int = 1, gpus: int = 0) -> str:
     _set_environment(threads, gpus)
     try:
         with (folder / LOG).open("a") as log:
-            fcntl.flock(log, fcntl.LOCK_EX)
+            if fcntl is not None:
+                fcntl.flock(log, fcntl.LOCK_EX)
             log.truncate(0)
             with _stderr_to(log.fileno()):
                 reason = _run(spec)
@@ -136,7 +141,9 @@ def _run(spec: str) -> str:
 
 def _end_with_parent() -> None:
     """Ends this process when the one that started it is gone, even by kill -9: its end of the pipe closes."""
-    sys.stdin.buffer.read()
+    # Not `sys.stdin`: its lock, held by this thread, would abort the interpreter when the worker ends.
+    while os.read(0, 1024):
+        pass
     os._exit(1)
 
 

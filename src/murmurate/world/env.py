@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, UInt32
 
-from murmurate.geometry import outside, touches
+from murmurate.geometry import _batch_last
 from murmurate.types import Observation, Transition, View
 from murmurate.world.config import WorldConfig
 from murmurate.world.randomness import draw_each, episode_keys, key_data, next_keys, wrap_keys
@@ -139,8 +139,8 @@ class World(eqx.Module):
         signals = self.objective.measure(configuration)
         objective = self.objective(signals)
         potential = self._potential(configuration, objective)
-        in_contact = touches(state.positions, velocities, config.radius)
-        failed = in_contact | outside(positions, config.half_width, config.half_height)
+        in_contact = _batch_last.in_contact(state.positions, velocities, config.radius)
+        failed = in_contact | _batch_last.outside(positions, config.half_width, config.half_height)
         terminated = jnp.any(failed, axis=0)
         penalised = failed if self.per_robot_credit else terminated[None]
         credit = jnp.where(terminated, -config.collision_penalty * penalised, potential - state.potential)

@@ -15,12 +15,13 @@ import equinox as eqx
 from jaxtyping import Bool, Float
 
 from murmurate.errors import GREATEST, InputError, check_number
-from murmurate.geometry import distances, hides, neighbors_and_visible
-from murmurate.geometry.visibility import Array, as_configuration
+from murmurate.geometry import _batch_last
 from murmurate.registry import Strategy
 from murmurate.world.config import WorldConfig
 
 __all__ = ["OBJECTIVES", "Configuration", "Objective", "Signal", "objective_signals"]
+
+Array = Any  # a NumPy or a JAX array
 
 
 class Configuration:
@@ -33,13 +34,13 @@ class Configuration:
     """
 
     def __init__(self, positions: Float[Array, "robots 2 *batch"], world: WorldConfig) -> None:
-        self.xp, self.positions = as_configuration(positions)
+        self.xp, self.positions = _batch_last.as_floating(positions)
         self.world = world
 
     @cached_property
     def distances(self) -> Float[Array, "robots robots *batch"]:
         """Distances between centres, world units; 0 on the diagonal."""
-        return distances(self.positions)
+        return _batch_last.distances(self.positions)
 
     @property
     def neighbors(self) -> Bool[Array, "robots robots *batch"]:
@@ -54,11 +55,11 @@ class Configuration:
     @cached_property
     def sole_occluder_counts(self) -> Float[Array, "robots *batch"]:
         """For each robot, how many ordered pairs of others would see each other if that robot were not there."""
-        return hides(self.positions, self.world.radius, self.world.scan_radius)
+        return _batch_last.sole_occluder_counts(self.positions, self.world.radius, self.world.scan_radius)
 
     @cached_property
     def _neighbors_and_visible(self) -> tuple[Any, Any]:
-        return neighbors_and_visible(self.positions, self.world.radius, self.world.scan_radius)
+        return _batch_last.neighbors_and_visible(self.positions, self.world.radius, self.world.scan_radius)
 
 
 class Signal(Strategy):

@@ -24,8 +24,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from murmurate import prng
 from murmurate.errors import MOST, InputError, check_choice, check_number
-from murmurate.geometry import clearances
-from murmurate.geometry.visibility import fold
+from murmurate.geometry import _batch_last
 from murmurate.registry import Strategy
 from murmurate.world.config import WorldConfig
 
@@ -147,7 +146,7 @@ class LayoutStart(Start):
 
     def _fitting(self, points: np.ndarray, world: WorldConfig) -> Float[np.ndarray, "1 robots 2"]:
         outside = (np.abs(points) > np.array([world.half_width, world.half_height])).any()
-        if outside or (clearances(points, world.radius) <= 0).any():
+        if outside or (_batch_last.clearances(points, world.radius) <= 0).any():
             raise InputError("world.robots", world.robots, f"few enough to fit the {self.name} start")
         return points[None]
 
@@ -414,7 +413,7 @@ def _touch_earlier(positions: Float[Array, "robots 2 batch"], radius: Any) -> An
     """Returns which robots touch one of lower number."""
     robots = positions.shape[0]
     earlier = jnp.tril(jnp.ones((robots, robots), bool), -1)[:, :, None]
-    return fold(operator.or_, (clearances(positions, radius) <= 0) & earlier, axis=1)
+    return _batch_last.fold(operator.or_, (_batch_last.clearances(positions, radius) <= 0) & earlier, axis=1)
 
 
 @prng.reproducible()
@@ -461,7 +460,7 @@ def check_start(start: Start, world: WorldConfig) -> Start:
     bounds = np.array([world.half_width, world.half_height], np.float32)
     if (np.abs(points) > bounds).any():
         raise InputError("start", start.name, f"inside |x| <= {world.half_width:g}, |y| <= {world.half_height:g}")
-    if (clearances(np.moveaxis(points, 0, -1), world.radius) <= 0).any():
+    if (_batch_last.clearances(np.moveaxis(points, 0, -1), world.radius) <= 0).any():
         raise InputError("world.robots", world.robots, f"few enough to fit the {start.name} start without overlap")
     return prepared
 
@@ -578,5 +577,5 @@ def check_configurations(points: Float[np.ndarray, "starts robots 2"], world: Wo
         if not (np.abs(configuration) <= bounds).all():
             allowed = f"inside |x| <= {world.half_width:g}, |y| <= {world.half_height:g}"
             raise InputError(f"{source}: start {index}", "a robot outside", allowed)
-        if (clearances(configuration, world.radius) <= 0).any():
+        if (_batch_last.clearances(configuration, world.radius) <= 0).any():
             raise InputError(f"{source}: start {index}", "overlapping robots", f"more than {2 * world.radius:g} apart")

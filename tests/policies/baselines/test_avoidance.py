@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from murmurate.geometry import closest_approach, collides
+from murmurate.geometry import _batch_last
 from murmurate.policies.baselines.avoidance import KEEP, avoiding
 from murmurate.policies.baselines.sight import everyone
 from murmurate.world import WorldConfig
@@ -36,7 +36,7 @@ def test_two_robots_that_see_each_other_never_collide(seed, speed):
     # Half of them head for each other.
     wanted[..., ::2] = speed * (positions[::-1] - positions)[..., ::2]
     found = np.asarray(avoided(positions, wanted.astype(np.float32)), float)
-    assert not collides(positions.astype(float), found, WORLD.radius).any()
+    assert not _batch_last.any_contact(positions.astype(float), found, WORLD.radius).any()
 
 
 @settings(deadline=None, max_examples=20)
@@ -46,7 +46,7 @@ def test_a_crowd_does_not_collide_either(seed):
     wanted = -3 * positions
     found = np.asarray(avoided(positions, wanted), float)
     assert (np.linalg.norm(found, axis=1) <= WORLD.max_speed).all()
-    assert not collides(positions.astype(float), found, WORLD.radius).any()
+    assert not _batch_last.any_contact(positions.astype(float), found, WORLD.radius).any()
 
 
 def test_somebody_in_the_shadow_of_another_is_reckoned_with():
@@ -59,7 +59,7 @@ def test_somebody_in_the_shadow_of_another_is_reckoned_with():
     towards = positions[[2, 1, 0]] - positions
     found = np.asarray(avoiding(towards[:, 0], towards[:, 1], hidden, WORLD), float)
     assert np.abs(found).max() > 0
-    assert not collides(positions.astype(float), found, WORLD.radius).any()
+    assert not _batch_last.any_contact(positions.astype(float), found, WORLD.radius).any()
 
 
 def test_wanted_velocities_that_are_free_are_kept():
@@ -75,6 +75,6 @@ def test_pairs_come_to_the_safe_distance_and_no_nearer():
         positions = positions + np.asarray(avoided(positions, inwards))
     np.testing.assert_allclose(positions[1, 0] - positions[0, 0], KEEP * WORLD.safe_distance, atol=1e-3)
     crowded = np.array([[0.0, 0.0], [3.0, 0.0]], np.float32)[..., None]
-    apart = closest_approach(crowded, np.asarray(avoided(crowded, 0 * crowded)))[0, 1]
+    apart = _batch_last.closest_approach(crowded, np.asarray(avoided(crowded, 0 * crowded)))[0, 1]
     assert apart == 3.0
     assert avoided(crowded, 0 * crowded)[1, 0, 0] > 0.1

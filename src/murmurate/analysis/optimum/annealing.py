@@ -16,13 +16,13 @@ import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from murmurate.errors import GREATEST, InputError, check_number
-from murmurate.geometry import distances
+from murmurate.geometry import _batch_last
 
 __all__ = ["AnnealingConfig", "anneal"]
 
 Score = Callable[[Float[Array, "robots 2 chains"]], Float[Array, " chains"]]
 
-MOST_CHAINS, MOST_SWEEPS = 100_000, 1_000_000
+MAX_CHAINS, MAX_MOVES_PER_ROBOT = 100_000, 1_000_000
 """So that all chains fit in memory, and moves can be counted in 32 bits."""
 
 
@@ -32,29 +32,29 @@ class AnnealingConfig:
 
     Attributes:
         chains: How many searches run side by side.
-        sweeps: Moves tried of each robot in each of them.
-        hot: Temperature at the beginning, in units of the objective.
-        cold: Temperature at the end.
-        step: Standard deviation of a move at the beginning, in safe distances.
-        fine: The same at the end.
-        jumps: Share of moves that put the robot anywhere near the swarm.
+        moves_per_robot: Moves that each chain tries for each robot.
+        t_start: Temperature at the beginning, in units of the objective.
+        t_end: Temperature at the end.
+        step_start: Standard deviation of a move at the beginning, in safe distances.
+        step_end: Standard deviation of a move at the end, in safe distances.
+        teleport_fraction: Fraction of moves that put a robot at a random place near the swarm.
     """
 
     chains: int = 256
-    sweeps: int = 1500
-    hot: float = 3e-3
-    cold: float = 2e-6
-    step: float = 1.0
-    fine: float = 2e-3
-    jumps: float = 0.02
+    moves_per_robot: int = 1500
+    t_start: float = 3e-3
+    t_end: float = 2e-6
+    step_start: float = 1.0
+    step_end: float = 2e-3
+    teleport_fraction: float = 0.02
 
     def __post_init__(self) -> None:
-        check_number("chains", self.chains, 1, MOST_CHAINS, integer=True)
-        check_number("sweeps", self.sweeps, 1, MOST_SWEEPS, integer=True)
-        for name in ("hot", "cold", "step", "fine"):
+        check_number("chains", self.chains, 1, MAX_CHAINS, integer=True)
+        check_number("moves_per_robot", self.moves_per_robot, 1, MAX_MOVES_PER_ROBOT, integer=True)
+        for name in ("t_start", "t_end", "step_start", "step_end"):
             check_number(name, getattr(self, name), 0, GREATEST, exclusive_low=True)
-        check_number("jumps", self.jumps, 0, 1)
-        for high, low in (("hot", "cold"), ("step", "fine")):
+        check_number("teleport_fraction", self.teleport_fraction, 0, 1)
+        for high, low in (("t_start", "t_end"), ("step_start", "step_end")):
             if getattr(self, low) > getattr(self, high):
                 raise InputError(low, getattr(self, low), f"at most {high} = {getattr(self, high):g}")
 
@@ -105,25 +105,25 @@ def _anneal(
     config: AnnealingConfig,
 ) -> _Chains:
     begin, draws = jax.random.split(key)
-    moves = config.sweeps * robots
+    moves = config.moves_per_robot * robots
     edge = jnp.asarray(bounds)[None, :, None]
     # A triangular lattice of that many robots, loosened: the room in which a robot may be put down again.
     room = jnp.minimum(safe_distance * math.sqrt(robots), edge)
     pairs = ~jnp.eye(robots, dtype=bool)[..., None]
 
     def fits(positions: Array) -> Array:
-        apart = jnp.all((distances(positions) > 2 * radius) | ~pairs, axis=(0, 1))
+        apart = jnp.all((_batch_last.distances(positions) > 2 * radius) | ~pairs, axis=(0, 1))
         return apart & jnp.all(jnp.abs(positions) <= edge, axis=(0, 1))
 
     def move(index: Array, chains: _Chains) -> _Chains:
         done = index / moves
-        temperature = config.hot * (config.cold / config.hot) ** done
-        size = safe_distance * config.step * (config.fine / config.step) ** done
+        temperature = config.t_start * (config.t_end / config.t_start) ** done
+        size = safe_distance * config.step_start * (config.step_end / config.step_start) ** done
         who, shift, jump, where, luck = jax.random.split(jax.random.fold_in(draws, index), 5)
         chosen = jnp.arange(robots)[:, None, None] == jax.random.randint(who, (1, 1, config.chains), 0, robots)
         shifted = chains.positions + size * jax.random.normal(shift, (1, 2, config.chains))
         placed = jax.random.uniform(where, (1, 2, config.chains), minval=-1.0, maxval=1.0) * room
-        jumps = jax.random.uniform(jump, (1, 1, config.chains)) < config.jumps
+        jumps = jax.random.uniform(jump, (1, 1, config.chains)) < config.teleport_fraction
         tried = jnp.where(chosen, jnp.where(jumps, placed, shifted), chains.positions)
         value = score(tried)
         lucky = jnp.log(jax.random.uniform(luck, (config.chains,))) * temperature < value - chains.score

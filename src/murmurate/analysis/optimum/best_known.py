@@ -62,7 +62,7 @@ class BestKnown:
     hop: float | None = None
 
     @classmethod
-    def of(
+    def from_target(
         cls, target: Target, positions: Float[np.ndarray, "robots 2"], command: str, hop: float | None = None
     ) -> BestKnown:
         """Makes an entry of a pattern."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -44,20 +45,26 @@ class Target:
         default = self.weights.get("gathering", 1.0) if signal in (self.gathering, "gathering") else 1.0
         return self.weights.get(self.gathering if signal == "gathering" else signal, default)
 
-    def signals(self, positions: Float[np.ndarray, "robots 2 *batch"]) -> dict[str, Float[np.ndarray, "*batch"]]:
-        """Measures configurations by the objective's signals; NumPy or JAX, as they come."""
-        return self._objective().measure(Configuration(positions, self.world))
+    def signals(self, positions: Float[np.ndarray, "*batch robots 2"]) -> dict[str, Float[np.ndarray, "*batch"]]:
+        """Returns the signals of the objective by name, in float64.
 
-    def objective_of(self, positions: Float[np.ndarray, "robots 2 *batch"]) -> Float[np.ndarray, "*batch"]:
-        """Returns the weighted objective of configurations; NumPy or JAX, as they come."""
-        return self._objective()(self.signals(positions))
+        Args:
+            positions: One configuration, or a batch of them, batch first; world units.
+        """
+        batch_last = np.moveaxis(np.asarray(positions, float), (-2, -1), (0, 1))
+        return self._objective().measure(Configuration(batch_last, self.world))
 
     def value(self, positions: Points) -> float:
         """Returns the weighted objective of one configuration, in float64."""
-        return float(self.objective_of(np.asarray(positions, float)))
+        return float(self.score_batch_last(np.asarray(positions, float)))
+
+    def score_batch_last(self, positions: Float[Any, "robots 2 *batch"]) -> Float[Any, "*batch"]:
+        """Returns the weighted objective of configurations, in their library and precision; for the annealer."""
+        objective = self._objective()
+        return objective(objective.measure(Configuration(positions, self.world)))
 
     def is_valid(self, positions: Points) -> bool:
-        """Says whether a configuration would be a valid pattern: gathered, mutually visible, safe, inside the world."""
+        """Returns whether a configuration at rest is a valid pattern: gathered, mutually visible, safe and inside."""
         world, positions = self.world, np.asarray(positions, float)
         other = ~np.eye(len(positions), dtype=bool)
         near, seen = neighbors_and_visible(positions, world.radius, world.scan_radius)

@@ -35,13 +35,13 @@ PENALTY = 10.0
 """Weight of broken constraints against the objective; both in safe distances. Exact for any weight above all
 multipliers, which are about 1 over the number of robots."""
 
-TRUST, LEAST_TRUST, ROUNDS = 0.1, 1e-11, 200
+MAX_TRUST, MIN_TRUST, MAX_ROUNDS = 0.1, 1e-11, 200
 """How far a coordinate moves in one round, in safe distances: at first, and when the search ends."""
 
 ROUNDED = (1e-2, 1e-4, 1e-6, 1e-9)
 """The distance to the origin has no gradient there, where a robot often ends: rounded off within these, in turn."""
 
-MENDING = 20
+MAX_REPAIR_STEPS = 20
 """Steps back inside the constraints; two or three are enough unless they contradict each other."""
 
 GAIN = 1e-14
@@ -60,10 +60,10 @@ def polish(positions: Points, target: Target) -> Points:
     """
     unit = target.world.safe_distance
     points = np.asarray(positions, float)
-    problem = _Problem.of(points, target)
+    problem = _Problem.from_target(points, target)
     for rounded in ROUNDED if target.gathering == "close" else ROUNDED[-1:]:
         points = _climb(points / unit, problem, rounded) * unit
-    points = _mended(points / unit, problem) * unit
+    points = _repaired(points / unit, problem) * unit
     kept = problem.constraints(points / unit).slack(points / unit, slopes=False)[0].min(initial=0) > -MARGIN
     return points if kept and target.value(points) >= target.value(positions) else np.asarray(positions, float)
 
@@ -96,7 +96,7 @@ class _Problem:
     seen: Bool[np.ndarray, "robots robots"]
 
     @classmethod
-    def of(cls, points: Points, target: Target) -> _Problem:
+    def from_target(cls, points: Points, target: Target) -> _Problem:
         world, unit = target.world, target.world.safe_distance
         near, seen = neighbors_and_visible(points, world.radius, world.scan_radius)
         reach = math.hypot(world.half_width, world.half_height) / unit
@@ -194,14 +194,14 @@ class _Constraints(NamedTuple):
 
 def _climb(points: Points, problem: _Problem, rounded: float) -> Points:
     """Goes downhill in rounds, each inside a trust region and with the constraints near it."""
-    shape, trust, least = points.shape, TRUST, max(LEAST_TRUST, (rounded - ROUNDED[-1]) * 1e-2)
+    shape, trust, least = points.shape, MAX_TRUST, max(MIN_TRUST, (rounded - ROUNDED[-1]) * 1e-2)
 
     def merit(candidate: Points) -> float:
         slack, _ = problem.constraints(candidate).slack(candidate, slopes=False)
         return problem.cost(candidate, rounded)[0] + PENALTY * float(np.maximum(-slack, 0).sum())
 
     value = merit(points)
-    for _ in range(ROUNDS):
+    for _ in range(MAX_ROUNDS):
         kept = problem.constraints(points, within=8 * trust)
         flat = points.ravel()
         # Whoever is outside the world may stay there, but goes no farther.
@@ -225,7 +225,7 @@ def _climb(points: Points, problem: _Problem, rounded: float) -> Points:
         gained = value - merit(candidate) if np.isfinite(candidate).all() else -math.inf
         if gained > 0:
             points, value = candidate, value - gained
-            trust = min(2 * trust, TRUST)
+            trust = min(2 * trust, MAX_TRUST)
         else:
             trust /= 4
         stationary = found.status == 0 and found.nit <= 1
@@ -234,14 +234,14 @@ def _climb(points: Points, problem: _Problem, rounded: float) -> Points:
     return points
 
 
-def _mended(points: Points, problem: _Problem) -> Points:
+def _repaired(points: Points, problem: _Problem) -> Points:
     """Steps back inside the constraints, as near as can be: where many meet, a climb can end outside by a little.
 
     Each step is the shortest that meets all constraints to first order: a least-distance problem, solved as one of
     nonnegative least squares (Lawson and Hanson, Solving Least Squares Problems, chapter 23).
     """
-    for _ in range(MENDING):
-        slack, slopes = problem.constraints(points, within=TRUST).slack(points)
+    for _ in range(MAX_REPAIR_STEPS):
+        slack, slopes = problem.constraints(points, within=MAX_TRUST).slack(points)
         if slack.min(initial=0) > -MARGIN / 2:
             break
         system = np.concatenate([slopes.T, -slack[None]])

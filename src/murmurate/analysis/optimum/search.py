@@ -21,7 +21,7 @@ from murmurate.analysis.optimum.bounds import ring
 from murmurate.analysis.optimum.formation import Target
 from murmurate.analysis.optimum.polish import polish
 from murmurate.errors import GREATEST, MOST, check_choice, check_number
-from murmurate.geometry import distances, similarity
+from murmurate.geometry import _batch_last, similarity
 from murmurate.world import WorldConfig
 
 __all__ = ["Formation", "OptimumConfig", "annealed", "distinct", "hop", "search"]
@@ -87,7 +87,7 @@ class Formation:
     valid: bool
 
     @classmethod
-    def of(cls, positions: Float[np.ndarray, "robots 2"], target: Target) -> Formation:
+    def from_positions(cls, positions: Float[np.ndarray, "robots 2"], target: Target) -> Formation:
         """Measures a configuration."""
         return cls(positions, target.value(positions), target.is_valid(positions))
 
@@ -101,7 +101,7 @@ def search(config: OptimumConfig) -> list[Formation]:
     target = config.target
     wide = _without_limits(target)
     rings = [polish(polish(positions, wide), target) for positions in nested_rings(wide)]
-    found = [Formation.of(positions, target) for positions in rings] + annealed(config)
+    found = [Formation.from_positions(positions, target) for positions in rings] + annealed(config)
     return distinct(found, config.world.safe_distance, config.only_valid)
 
 
@@ -123,7 +123,7 @@ def annealed(config: OptimumConfig) -> list[Formation]:
         seed=config.seed,
         config=config.annealing,
     )
-    return [Formation.of(polish(positions, target), target) for positions in chains[: config.polished]]
+    return [Formation.from_positions(polish(positions, target), target) for positions in chains[: config.polished]]
 
 
 def nested_rings(target: Target) -> Iterator[Float[np.ndarray, "robots 2"]]:
@@ -179,7 +179,7 @@ def hop(config: OptimumConfig) -> Formation:
         minimizer_kwargs={"method": descend},
         rng=rng,
     )
-    return Formation.of(found.x.reshape(shape), target)
+    return Formation.from_positions(found.x.reshape(shape), target)
 
 
 def distinct(formations: Sequence[Formation], unit: float, only_valid: bool = True) -> list[Formation]:
@@ -197,15 +197,15 @@ def _score(target: Target, only_valid: bool) -> Any:
     """Returns what the annealing climbs: the objective, or gathering above all that a valid pattern needs."""
     world = target.world
     if not only_valid:
-        return target.objective_of
+        return target.score_batch_last
     weights = {"gathering": 1.0, "safety": REQUIRED, "neighbors": 0.0, "visible": REQUIRED}
     required = replace(target, weights=weights)
 
     def score(positions: Any) -> Any:
         # How far beyond scanning distance, instead of how many: the signal alone would not say which way is better.
-        beyond = distances(positions) - world.scan_radius
+        beyond = _batch_last.distances(positions) - world.scan_radius
         far = (beyond * (beyond > 0)).sum(axis=(0, 1)) / (world.safe_distance * world.robots)
-        return required.objective_of(positions) - REQUIRED * far
+        return required.score_batch_last(positions) - REQUIRED * far
 
     return score
 

@@ -8,7 +8,7 @@ import numpy as np
 from gymnasium import spaces
 
 from murmurate.errors import InputError, check_choice
-from murmurate.geometry import neighbors_and_visible
+from murmurate.geometry import _batch_last
 from murmurate.interop.episodes import Look
 from murmurate.interop.gathering import Gathering
 from murmurate.world import State, World
@@ -49,7 +49,7 @@ def look_for(observations: Observations) -> Look:
 
 
 def _sensing(world: World, state: State) -> dict[str, Any]:
-    near, seen = neighbors_and_visible(state.positions, world.config.radius, world.config.scan_radius)
+    near, seen = _batch_last.neighbors_and_visible(state.positions, world.config.radius, world.config.scan_radius)
     return {"positions": state.positions, "neighbors": near.astype(np.int8), "visible": seen.astype(np.int8)}
 
 

@@ -151,7 +151,7 @@ def _view(run: Run, positions: np.ndarray, rng: np.random.Generator) -> np.ndarr
     """Returns what the first robot of each configuration sees of the others, turned at random."""
     world = run.experiment.world
     others = positions[:, 1:] - positions[:, :1]
-    seen = visible(np.moveaxis(positions, 0, -1), world.radius, world.scan_radius)[0, 1:].T
+    seen = visible(positions, world.radius, world.scan_radius)[:, 0, 1:]
     angle = rng.uniform(0, 2 * np.pi, len(positions))
     turn = np.moveaxis(np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]), -1, 0)
     return np.where(seen[..., None], others @ turn, 0.0)

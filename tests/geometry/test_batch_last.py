@@ -1,35 +1,30 @@
-"""The kernels as arrays see them: whatever they are given, NumPy's or JAX's, and however many batch axes stand last."""
+"""The kernels take NumPy's or JAX's arrays, with any number of batch axes last, and check nothing."""
 
 from __future__ import annotations
-
-import doctest
-import subprocess
-import sys
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from murmurate import geometry
+from murmurate.geometry import _batch_last
 from oracles.configurations import disjoint
 
 RADIUS, SCAN = 1.0, 8.0
 KERNELS = {
-    "neighbors": lambda p: geometry.neighbors(p, SCAN),
-    "occluded": lambda p: geometry.occluded(p, RADIUS),
-    "visible": lambda p: geometry.visible(p, RADIUS, SCAN),
-    "neighbors_and_visible": lambda p: geometry.neighbors_and_visible(p, RADIUS, SCAN),
-    "counts": lambda p: geometry.counts(p, RADIUS, SCAN),
-    "distances": geometry.distances,
-    "clearances": lambda p: geometry.clearances(p, RADIUS),
-    "closest_approach": lambda p: geometry.closest_approach(p, p),
-    "collides": lambda p: geometry.collides(p, p, RADIUS),
-    "hides": lambda p: geometry.hides(p, RADIUS, SCAN),
-    "contacts": lambda p: geometry.contacts(p, p, RADIUS),
-    "touches": lambda p: geometry.touches(p, p, RADIUS),
-    "outside": lambda p: geometry.outside(p, 4.0, 4.0),
-    "leaves": lambda p: geometry.leaves(p, 4.0, 4.0),
+    "neighbors": lambda p: _batch_last.neighbors(p, SCAN),
+    "occluded": lambda p: _batch_last.occluded(p, RADIUS),
+    "visible": lambda p: _batch_last.visible(p, RADIUS, SCAN),
+    "neighbors_and_visible": lambda p: _batch_last.neighbors_and_visible(p, RADIUS, SCAN),
+    "distances": _batch_last.distances,
+    "clearances": lambda p: _batch_last.clearances(p, RADIUS),
+    "closest_approach": lambda p: _batch_last.closest_approach(p, p),
+    "any_contact": lambda p: _batch_last.any_contact(p, p, RADIUS),
+    "sole_occluder_counts": lambda p: _batch_last.sole_occluder_counts(p, RADIUS, SCAN),
+    "contact_matrix": lambda p: _batch_last.contact_matrix(p, p, RADIUS),
+    "in_contact": lambda p: _batch_last.in_contact(p, p, RADIUS),
+    "outside": lambda p: _batch_last.outside(p, 4.0, 4.0),
+    "any_outside": lambda p: _batch_last.any_outside(p, 4.0, 4.0),
 }
 every_kernel = pytest.mark.parametrize("kernel", KERNELS.values(), ids=KERNELS)
 
@@ -39,8 +34,7 @@ def same(actual, expected):
 
 
 def test_every_kernel_is_here():
-    # A shadow is drawn, one at a time, in NumPy.
-    assert set(KERNELS) == set(geometry.__all__) - {"Counts", "shadow"}
+    assert set(KERNELS) == set(_batch_last.__all__) - {"as_floating", "fold"}
 
 
 @every_kernel
@@ -80,22 +74,3 @@ def test_compiled_as_well_as_not(kernel):
     expected = kernel(np.moveaxis(positions, 0, -1).astype(float))
     for answer in (compiled, mapped):
         jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=1e-5), answer, expected)
-
-
-def test_sizes_may_be_traced():
-    positions = jnp.array([[0.0, 0.0], [4.0, 0.0], [8.0, 0.0]])
-    seen = jax.jit(geometry.visible)(positions, RADIUS, SCAN)
-    same(seen, geometry.visible(np.asarray(positions), RADIUS, SCAN))
-
-
-def test_the_example_of_the_package():
-    failed, attempted = doctest.testmod(geometry)
-    assert (failed, attempted > 0) == (0, True)
-
-
-def test_geometry_does_without_jax():
-    code = (
-        "import murmurate.geometry, sys; print(*sorted({'jax', 'equinox', 'optax', 'matplotlib'} & set(sys.modules)))"
-    )
-    finished = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert finished.stdout.split() == []

@@ -1,0 +1,90 @@
+"""Loops that run in Python for NumPy and are compiled for JAX. Geometry imports JAX only here, once it is given JAX."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+__all__ = ["fori_loop", "is_traced", "map_chunks", "scatter", "set_row", "take", "while_loop"]
+
+
+def is_traced(value: Any) -> bool:
+    """Returns whether a value is unknown because JAX is tracing a program."""
+    if "jax" not in sys.modules:
+        return False
+    from jax.core import Tracer
+
+    return isinstance(value, Tracer)
+
+
+def fori_loop(xp: Any, count: int, body: Callable[[Any, Any], Any], value: Any) -> Any:
+    """Returns the value after body(0, value), body(1, value), ... `count` times."""
+    if xp is not np:
+        from jax import lax
+
+        return lax.fori_loop(0, count, body, value)
+    for index in range(count):
+        value = body(index, value)
+    return value
+
+
+def while_loop(xp: Any, condition: Callable[[Any], Any], body: Callable[[Any], Any], value: Any) -> Any:
+    """Returns the value after as many calls of `body` as make the condition false."""
+    if xp is not np:
+        from jax import lax
+
+        return lax.while_loop(condition, body, value)
+    while condition(value):
+        value = body(value)
+    return value
+
+
+def map_chunks(xp: Any, function: Callable[[tuple], Any], chunks: tuple) -> Any:
+    """Returns a function's results for all chunks, computed one after another and stacked; gradients are stopped.
+
+    Args:
+        xp: The namespace of the arrays.
+        function: Takes a tuple: one chunk of each array.
+        chunks: Arrays whose first axis numbers the chunks. They are separate arrays because XLA would copy each slice
+            of a stacked one.
+    """
+    if xp is not np:
+        from jax import lax
+
+        return lax.map(function, lax.stop_gradient(chunks))
+    return np.stack([function(chunk) for chunk in zip(*chunks, strict=True)])
+
+
+def take(xp: Any, array: Any, rows: Any) -> Any:
+    """Returns elements of each column of an array by their row numbers, `(elements, columns)`."""
+    if xp is not np:
+        return xp.take_along_axis(array, rows, axis=0, mode="promise_in_bounds")
+    return np.take_along_axis(array, rows, axis=0)
+
+
+def set_row(xp: Any, array: Any, index: Any, row: Any) -> Any:
+    """Returns an array with one row of its first axis replaced; a NumPy array is changed in place."""
+    if xp is not np:
+        return array.at[index].set(row, mode="promise_in_bounds")
+    array[index] = row
+    return array
+
+
+def scatter(xp: Any, operation: str, array: Any, rows: Any, values: Any) -> Any:
+    """Returns a two-dimensional array after `min`, `max` or `add` of values into rows of each column.
+
+    Args:
+        xp: The namespace of the arrays.
+        operation: min, max or add.
+        array: The array that is updated; a NumPy array is changed in place.
+        rows: The row of each value, `(values, columns)`.
+        values: The values, `(values, columns)`.
+    """
+    column = xp.broadcast_to(xp.arange(rows.shape[1], dtype=rows.dtype)[None], rows.shape)
+    if xp is not np:
+        return getattr(array.at[rows, column], operation)(values, mode="promise_in_bounds")
+    {"min": np.minimum, "max": np.maximum, "add": np.add}[operation].at(array, (rows, column), values)
+    return array

@@ -1,0 +1,252 @@
+"""A run folder is never overwritten, is locked while it is trained in, and is checked whenever it is read."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+
+import jax
+import numpy as np
+import pytest
+
+from murmurate.discovery import policy_templates
+from murmurate.errors import RunError
+from murmurate.runs import files
+from murmurate.runs.folder import LOCK, MANIFEST, RunFolder, describe_starts, is_fresh
+from tiny import tiny
+
+
+@pytest.fixture
+def damaged(finished, tmp_path):
+    """A copy of the finished run that a test may break."""
+    return RunFolder(shutil.copytree(finished, tmp_path / "run"))
+
+
+def change(path, **values):
+    files.write_json(path, files.read_json(path) | values)
+
+
+def test_what_a_folder_holds(tmp_path):
+    folder = RunFolder(tmp_path / "runs" / "C")
+    assert folder.inspect() == "new"
+    assert not folder.path.exists()
+    assert folder.create(resume=True) == "new"
+    assert not list(folder.path.iterdir())
+    (folder.path / ".experiment.toml.partial").write_text("killed here")
+    assert folder.create() == "new"
+    (folder.path / "checkpoint").mkdir()
+    assert folder.create() == "new"
+    folder.write_experiment(tiny())
+    with pytest.raises(RunError, match=r"holds another run: continue it with --resume, or choose another --out$"):
+        folder.create()
+    assert folder.create(resume=True) == "unfinished"
+    files.write_json(folder.path / MANIFEST, {})
+    assert folder.create(resume=True) == "finished"
+    (tmp_path / "thesis.tex").write_text("")
+    for resume in (False, True):
+        with pytest.raises(RunError, match="choose another --out"):
+            RunFolder(tmp_path).create(resume)
+
+
+def test_a_lock_keeps_others_out_until_its_process_dies(tmp_path):
+    folder = RunFolder(tmp_path)
+    with folder.lock():
+        with pytest.raises(RunError, match="is in use: another process trains this run"), folder.lock():
+            pass
+        assert folder.inspect() == "new"
+    assert not (tmp_path / LOCK).exists()
+    code = "import sys, time; from murmurate.runs.folder import RunFolder\n"
+    code += "with RunFolder(sys.argv[1]).lock():\n    print('locked', flush=True)\n    time.sleep(60)"
+    with subprocess.Popen([sys.executable, "-c", code, str(tmp_path)], stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "locked\n"
+        with pytest.raises(RunError, match="is in use"), folder.lock():
+            pass
+        os.kill(process.pid, signal.SIGKILL)
+    assert (tmp_path / LOCK).exists()
+    with folder.lock():
+        pass
+
+
+def test_a_finished_run_is_read(finished):
+    folder = RunFolder(finished)
+    assert repr(folder) == f"RunFolder({finished})"
+    manifest = folder.verify()
+    assert manifest["valid_pattern"] is True
+    assert folder.experiment() == tiny()
+    assert len(folder.policies(policy_templates(tiny(), 2))) == 2
+    assert [row["update"] for row in folder.metrics()] == [1, 2, 3, 4] * 2
+    summary, trajectories = folder.evaluation(), folder.trajectories()
+    assert is_fresh(summary)
+    assert describe_starts(summary) == "fresh starts"
+    assert trajectories.positions.shape[::2] == (200, 3)
+    assert trajectories.lengths.mean() == pytest.approx(summary["total_steps"])
+    assert trajectories.epochs.mean() == pytest.approx(summary["epochs"])
+    assert not (trajectories.terminated & trajectories.at_rest).any()
+    assert folder.record() is None
+
+
+def test_the_manifest_records_what_numbers_depend_on(finished):
+    manifest = RunFolder(finished).manifest()
+    assert manifest["versions"]["jax"] == jax.__version__
+    assert manifest["threads"] >= 1
+    assert manifest["devices"] == jax.device_count()
+    assert manifest["cpu"]
+    assert manifest["flags"]["jax_enable_x64"] is False
+    assert manifest["flags"]["jax_default_prng_impl"] == "threefry2x32"
+    assert "jax_threefry_partitionable" in manifest["flags"]
+
+
+def test_folders_of_version_0_1_0_are_read(damaged):
+    """Written as version 0.1.0 did: sentences for states, and contact and walls counted together."""
+    path = damaged.path
+    manifest, summary = files.read_json(path / MANIFEST), files.read_json(path / "evaluation.json")
+    for name in ("valid_pattern", "cpu", "threads", "flags"):
+        del manifest[name]
+    files.write_json(path / MANIFEST, manifest | {"outcome": "no valid pattern was discovered"})
+    for name in ("contact_free", "inside", "thresholds"):
+        del summary[name]
+    files.write_json(path / "evaluation.json", summary | {"collision_free": 0.5, "starts": "mine.csv"})
+    arrays = files.read_npz(path / "trajectories.npz")
+    files.write_npz(path / "trajectories.npz", {k: v for k, v in arrays.items() if k not in ("terminated", "epochs")})
+    assert damaged.verify()["valid_pattern"] is False
+    assert (damaged.evaluation()["contact_free"], damaged.evaluation()["inside"]) == (0.5, 0.5)
+    assert describe_starts(damaged.evaluation()) == "starts of mine.csv"
+    assert damaged.trajectories().lengths.tolist() == arrays["lengths"].tolist()
+    change(path / "evaluation.json", starts="fresh")
+    assert is_fresh(damaged.evaluation())
+
+
+def test_changed_files_are_found(damaged):
+    path = damaged.path / "policies" / "0-base.safetensors"
+    data = path.read_bytes()
+    path.write_bytes(data[:-1] + bytes([data[-1] ^ 1]))
+    with pytest.raises(RunError, match=r"0-base\.safetensors does not match its checksum in manifest\.json$"):
+        damaged.verify()
+    path.unlink()
+    with pytest.raises(RunError, match="cannot read"):
+        damaged.verify()
+
+
+@pytest.mark.parametrize("manifest", [{"format": 2}, {"format": "1"}, {}, [], 1])
+def test_unknown_formats_are_refused(tmp_path, manifest):
+    files.write_json(tmp_path / MANIFEST, manifest)
+    with pytest.raises(RunError, match="this version of murmurate reads format 1"):
+        RunFolder(tmp_path).manifest()
+
+
+@pytest.mark.parametrize("checksums", [None, [], {"x": 3}])
+def test_manifests_need_checksums(damaged, checksums):
+    change(damaged.path / MANIFEST, checksums=checksums)
+    with pytest.raises(RunError, match="has no checksums"):
+        damaged.manifest()
+
+
+@pytest.mark.parametrize("name", ["../x", "/etc/hostname", "x\0y"])
+def test_checksums_name_files_of_the_run(damaged, name):
+    change(damaged.path / MANIFEST, checksums={name: "0", **damaged.manifest()["checksums"]})
+    with pytest.raises(RunError, match="names a file outside the run"):
+        damaged.verify()
+
+
+@pytest.mark.parametrize("policies", [[], "base", None, ["base"] * 3])
+def test_every_policy_needs_a_checksum(damaged, policies):
+    change(damaged.path / MANIFEST, policies=policies)
+    with pytest.raises(RunError, match="does not list every policy with its checksum"):
+        damaged.manifest()
+
+
+def test_folders_without_a_finished_run(tmp_path):
+    with pytest.raises(RunError, match="holds no run"):
+        RunFolder(tmp_path).manifest()
+    RunFolder(tmp_path).write_experiment(tiny())
+    with pytest.raises(RunError, match="holds an unfinished run: finish it with murmurate discover --resume"):
+        RunFolder(tmp_path).manifest()
+
+
+@pytest.mark.parametrize(
+    ("values", "line"),
+    [
+        ({"valid": "x"}, "has valid = 'x', which is not a number"),
+        ({"base_steps": True}, "has base_steps = True, which is not a number"),
+        ({"valid_interval": "x"}, "has valid_interval = '', which is not a number"),
+        ({"valid_interval": [0, "x"]}, r"has valid_interval\[1\] = 'x'"),
+        ({"signal": {"total": "x"}}, r"has signal\.total = 'x'"),
+        ({"episodes": 0}, "has episodes = 0, which is not a number of episodes"),
+        ({"failures": 3}, "has failures = 3, which are not episodes"),
+        ({"starts": {"kind": "x"}}, "which is unknown"),
+        ({"starts": 3}, "has starts = 3, which is unknown"),
+    ],
+)
+def test_evaluations_hold_numbers(damaged, values, line):
+    change(damaged.path / "evaluation.json", **values)
+    with pytest.raises(RunError, match=line) as caught:
+        damaged.evaluation()
+    assert str(caught.value).endswith(f"make it again with murmurate evaluate {damaged.path}")
+
+
+def test_incomplete_evaluations_are_refused(damaged):
+    path = damaged.path / "evaluation.json"
+    path.write_text("{}")
+    with pytest.raises(RunError, match="lacks starts: make it again"):
+        damaged.evaluation()
+    path.write_text("[]")
+    with pytest.raises(RunError, match="does not hold a JSON object"):
+        damaged.evaluation()
+
+
+def test_what_could_not_be_computed_is_nan(damaged):
+    change(damaged.path / "evaluation.json", bound_steps=None, valid_interval=[None, None])
+    assert np.isnan(damaged.evaluation()["bound_steps"])
+
+
+@pytest.mark.parametrize(
+    ("array", "line"),
+    [
+        ({"positions": np.zeros((200, 2, 3))}, r"positions as float64\[200, 2, 3\], not as float32\[episodes"),
+        ({"positions": np.zeros((200, 2, 3, 2), "U1")}, "has positions as"),
+        ({"lengths": np.zeros(199, int)}, r"has lengths as int64\[199\]"),
+        ({"lengths": np.zeros(200)}, r"has lengths as float64\[200\]"),
+        ({"lengths": np.full(200, 99)}, "has lengths that are not from 0 to"),
+        ({"switch": np.zeros(200, int)}, "has switch as"),
+        ({"signals": np.zeros((200, 2, 1))}, "has signals as"),
+        ({"signal_names": np.array("x")}, "has signal_names as"),
+        ({"at_rest": np.zeros(200)}, "has at_rest as"),
+        ({"positions": None}, "lacks positions"),
+    ],
+)
+def test_trajectories_fit_together(damaged, array, line):
+    path = damaged.path / "trajectories.npz"
+    arrays = files.read_npz(path) | array
+    files.write_npz(path, {name: value for name, value in arrays.items() if value is not None})
+    with pytest.raises(RunError, match=line):
+        damaged.trajectories()
+
+
+def test_trajectories_are_finite(damaged):
+    path = damaged.path / "trajectories.npz"
+    arrays = files.read_npz(path)
+    arrays["positions"][3, 1] = np.nan
+    files.write_npz(path, arrays)
+    with pytest.raises(RunError, match="not finite: the training diverged"):
+        damaged.trajectories()
+
+
+def test_metrics_are_rows_of_numbers(damaged):
+    with (damaged.path / "metrics.jsonl").open("a") as file:
+        file.write(json.dumps({"policy": 0, "update": 1, "environment_steps": "x", "signals": {}}) + "\n")
+    with pytest.raises(RunError, match="line 9 is not a row of metrics"):
+        damaged.metrics()
+
+
+def test_a_copy_is_a_run_of_its_own(finished, tmp_path):
+    copy = RunFolder(finished).copy_to(tmp_path / "copy")
+    assert copy.verify() == RunFolder(finished).manifest()
+    assert not (copy.path / "evaluation.json").exists()
+    assert copy.metrics() == RunFolder(finished).metrics()
+    with pytest.raises(RunError, match="holds another run"):
+        RunFolder(finished).copy_to(copy)
