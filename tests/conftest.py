@@ -30,12 +30,20 @@ compilation_cache.configure()
 hypothesis.settings.register_profile("ci", derandomize=True, deadline=None, database=None)
 hypothesis.settings.load_profile("ci")
 
-STRICT_AXES = {"analysis", "geometry", "learning", "policies"}
-"""Folders of tests in which no array may gain axes by accident. The world and all that executes it is written for a
-batch that is last: there one flag an episode meets `(robots, 2, batch)` on purpose."""
+BATCH_LAST = {"cli", "discovery", "docs", "interop", "learning", "policies", "report", "runs", "world"}
+"""Folders in which arrays may gain axes: the world and what executes it has the batch last, and one flag an episode
+meets `(robots, 2, batch)` on purpose. Everywhere else an array that gains axes is an error."""
 
 STRICT_TYPES = {"geometry"}
 """Folders in which no array may change its type by accident either; optax needs the usual rules."""
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items):
+    """Keeps the tests of a file on one worker, where they share fixtures and compiled programs."""
+    for item in items:
+        if item.get_closest_marker("xdist_group") is None:
+            item.add_marker(pytest.mark.xdist_group(item.path.relative_to(ROOT).as_posix()))
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -43,7 +51,7 @@ def numerics(request):
     """Sets how strict JAX is, anew for every file, so that no file changes it for another one."""
     (folder, *_) = request.path.relative_to(ROOT / "tests").parts
     with (
-        jax.numpy_rank_promotion("raise" if folder in STRICT_AXES else "allow"),
+        jax.numpy_rank_promotion("allow" if folder in BATCH_LAST else "raise"),
         jax.numpy_dtype_promotion("strict" if folder in STRICT_TYPES else "standard"),
     ):
         yield
