@@ -30,7 +30,7 @@ compilation_cache.configure()
 hypothesis.settings.register_profile("ci", derandomize=True, deadline=None, database=None)
 hypothesis.settings.load_profile("ci")
 
-BATCH_LAST = {"cli", "discovery", "docs", "interop", "learning", "policies", "report", "runs", "world"}
+BATCH_LAST = {"cli", "discovery", "docs", "interop", "learning", "own", "policies", "report", "runs", "world"}
 """Folders in which arrays may gain axes: the world and what executes it has the batch last, and one flag an episode
 meets `(robots, 2, batch)` on purpose. Everywhere else an array that gains axes is an error."""
 
