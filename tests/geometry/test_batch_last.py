@@ -37,6 +37,7 @@ def test_every_kernel_is_here():
     assert set(KERNELS) == set(_batch_last.__all__) - {"as_floating", "fold"}
 
 
+@pytest.mark.unchecked
 @every_kernel
 def test_integers_and_lists_are_numbers_too(kernel):
     whole = [[0, 0], [3, 0], [7, 1], [-2, 5]]

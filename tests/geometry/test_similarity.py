@@ -186,6 +186,7 @@ def test_coincident_robots_and_huge_coordinates_are_defined():
 NO_NUMBERS = ([[1.0], [1.0, 2.0]], [["1", "2"]], [[True, False]], [[None, 1.0]], [[1 << 70, 0]], "text", None, {})
 
 
+@pytest.mark.unchecked
 @pytest.mark.parametrize("bad", [np.zeros(4), np.zeros((3, 3)), np.zeros((0, 2)), np.full((2, 2), np.nan), *NO_NUMBERS])
 def test_no_such_configuration(bad):
     for call in (configuration, canonical, profile, lambda x: distance(x, x), lambda x: lower_bound(x, x)):
@@ -193,6 +194,7 @@ def test_no_such_configuration(bad):
             call(bad)
 
 
+@pytest.mark.unchecked
 def test_swarms_of_different_size_cannot_be_compared():
     with pytest.raises(InputError, match=r"^second = '4 robots': must be 3 robots, as the first"):
         distance(ring(3), ring(4))
