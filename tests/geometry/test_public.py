@@ -31,6 +31,7 @@ ARGUMENTS = {
     "any_contact": (None, RADIUS),
     "outside": (4.0, 5.0),
     "any_outside": (4.0, 5.0),
+    "on_hull": (),
 }
 """The arguments after the positions; None stands for velocities, for which the positions are taken."""
 
