@@ -39,7 +39,7 @@ def all_signals(robots: int) -> Callable[[], Any]:
     positions, half = swarm(robots)
     sizes = {"half_width": half, "half_height": half, "scan_radius": 4 * half, "safe_distance": 5.0}
     world = World.create(WorldConfig(robots=robots, radius=RADIUS, **sizes), UniformStart(), "C2")
-    program = jax.jit(world.signals)
+    program = jax.jit(lambda positions: world.signals(positions))
     return lambda: program(positions)
 
 

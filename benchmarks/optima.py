@@ -18,7 +18,8 @@ from pathlib import Path
 import numpy as np
 
 from murmurate import plots
-from murmurate.analysis import best_known, convex_layers, symmetry, upright
+from murmurate.analysis import convex_layers, symmetry, upright
+from murmurate.analysis.optimum import best_known
 from murmurate.analysis.optimum.annealing import AnnealingConfig
 from murmurate.analysis.optimum.best_known import BestKnown
 from murmurate.analysis.optimum.formation import Target

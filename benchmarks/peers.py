@@ -72,7 +72,7 @@ def _vmas(worlds: int, steps: int) -> Case:
 
     def prepare() -> Callable[[], Any]:
         torch = importlib.import_module("torch")
-        # It announces that a renderer is missing, which nobody here asks for.
+        # It warns that a renderer is missing, which is not needed.
         logging.disable(logging.WARNING)
         vmas = importlib.import_module("vmas")
         logging.disable(logging.NOTSET)

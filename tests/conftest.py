@@ -1,27 +1,117 @@
-"""What every test shares: strict numerics, and the same hypothesis examples on every machine."""
+"""What every test shares: strict types and numerics, compiled programs, tiny runs, the same hypothesis examples."""
 
 from __future__ import annotations
+
+import contextlib
+import fcntl
+import functools
+import gc
+import os
+import shutil
+from pathlib import Path
+
+# Before JAX is loaded: one cache of compiled programs for all tests and the processes that they start.
+ROOT = Path(__file__).parents[1]
+os.environ.setdefault("MURMURATE_CACHE", str(ROOT / ".cache"))
 
 import hypothesis
 import jax
 import pytest
+from jaxtyping import install_import_hook
 
-# No array may gain axes by accident. (Types are as strict only under `strict_numerics`: optax needs the usual rules.)
-jax.config.update("jax_numpy_rank_promotion", "raise")
+# Before the package is loaded: every call of one of its functions checks types and shapes.
+install_import_hook("murmurate", "strict.check_types")
+
+from murmurate import compilation_cache
+from tiny import KINDS, tiny
+
+compilation_cache.configure()
 
 hypothesis.settings.register_profile("ci", derandomize=True, deadline=None, database=None)
 hypothesis.settings.load_profile("ci")
 
+BATCH_LAST = {"cli", "discovery", "docs", "interop", "learning", "policies", "report", "runs", "world"}
+"""Folders in which arrays may gain axes: the world and what executes it has the batch last, and one flag an episode
+meets `(robots, 2, batch)` on purpose. Everywhere else an array that gains axes is an error."""
+
+STRICT_TYPES = {"geometry"}
+"""Folders in which no array may change its type by accident either; optax needs the usual rules."""
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items):
+    """Keeps the tests of a file on one worker, where they share fixtures and compiled programs."""
+    for item in items:
+        if item.get_closest_marker("xdist_group") is None:
+            item.add_marker(pytest.mark.xdist_group(item.path.relative_to(ROOT).as_posix()))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def numerics(request):
+    """Sets how strict JAX is, anew for every file, so that no file changes it for another one."""
+    (folder, *_) = request.path.relative_to(ROOT / "tests").parts
+    with (
+        jax.numpy_rank_promotion("allow" if folder in BATCH_LAST else "raise"),
+        jax.numpy_dtype_promotion("strict" if folder in STRICT_TYPES else "standard"),
+    ):
+        yield
+
 
 @pytest.fixture(scope="module", autouse=True)
 def few_programs():
-    """Forgets compiled programs after every file: a process that keeps some thousands runs out of memory maps."""
+    """Forgets compiled programs before there are too many: each takes memory maps, whose number Linux limits."""
     yield
-    jax.clear_caches()
+    if _share_of_memory_maps() > 0.5:
+        jax.clear_caches()
+        gc.collect()
 
 
-@pytest.fixture(scope="module")
-def strict_numerics():
-    """No array may change its type by accident either."""
-    with jax.numpy_dtype_promotion("strict"):
+def _share_of_memory_maps() -> float:
+    try:
+        limit = int(Path("/proc/sys/vm/max_map_count").read_text())
+        with open("/proc/self/maps", "rb") as maps:
+            return sum(1 for _ in maps) / limit
+    except OSError:  # not Linux
+        return 0.0
+
+
+@pytest.fixture(scope="session")
+def tiny_run(tmp_path_factory):
+    """Returns the folder of a finished tiny run of a kind, which the first test of all workers that needs it trains.
+
+    Nobody changes it: see `copy_of_tiny_run`.
+    """
+    base = tmp_path_factory.getbasetemp()
+    # The workers of pytest-xdist have a folder each, side by side in one of the session.
+    root = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "tiny-runs"
+    root.mkdir(exist_ok=True)
+
+    @functools.cache
+    def run(kind="central"):
+        from murmurate.cli.main import main
+        from murmurate.runs import config_io
+
+        folder = root / kind
+        with locked(root / f"{kind}.lock"):
+            if not folder.exists():
+                toml = root / f"{kind}.toml"
+                toml.write_text(config_io.dump_toml(tiny(**KINDS[kind])))
+                with jax.numpy_rank_promotion("allow"), jax.numpy_dtype_promotion("standard"):
+                    assert main(["discover", str(toml), "--out", str(folder), "--quiet"]) == 0
+        return folder
+
+    return run
+
+
+@contextlib.contextmanager
+def locked(path):
+    """Keeps other processes waiting."""
+    with path.open("a") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
         yield
+
+
+@pytest.fixture
+def copy_of_tiny_run(tiny_run, tmp_path):
+    """Returns a copy of a tiny run that a test may change."""
+    return lambda kind="central": shutil.copytree(tiny_run(kind), tmp_path / "run")

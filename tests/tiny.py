@@ -26,6 +26,24 @@ TINY = {
 }
 
 
+KINDS = {
+    "central": {},
+    "equivariant": {"policy": {"use": "equivariant", "hidden": [8, 4]}},
+    "local": {
+        "policy": {"use": "local", "hidden": [8, 4]},
+        "sensing": {
+            "use": "visible",
+            "rotation": True,
+            "reflection": True,
+            "unit_ratio": 2.0,
+            "resample_frames": True,
+            "range_noise": 0.01,
+        },
+    },
+}
+"""The kinds of tiny runs that tests share: see `tiny_run` in `conftest.py`."""
+
+
 def tiny(**overlay) -> ExperimentConfig:
     """Returns the tiny experiment with some sections replaced field by field."""
     return presets.resolve("C", {"start": {"kind": "scattered"}}, TINY, overlay)

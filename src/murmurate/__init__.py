@@ -132,7 +132,10 @@ def discover(
     """
     from pathlib import Path
 
-    from murmurate.runs.train import discover as train
+    from murmurate import compilation_cache
+
+    compilation_cache.configure()
+    from murmurate.runs.train import discover as train  # only now, because it loads JAX
 
     config = _resolve(experiment, fields)
     folder = Path(out) if out is not None else Path("runs") / f"{config.name}-{_file_name(config)}-seed{config.seed}"
@@ -163,6 +166,9 @@ def load(folder: str | Path, trust: bool = False) -> Run:
         RunError: The folder is missing, unfinished, damaged or of an unknown version, or names modules and is not
             trusted.
     """
+    from murmurate import compilation_cache
+
+    compilation_cache.configure()
     from murmurate.runs.run import Run  # only now, because it loads JAX
 
     return Run.open(folder, trust)
@@ -183,7 +189,10 @@ def pretrained(objective: str = "C2", sensing: str = "visible", scheduler: str =
     Raises:
         InputError: There are no such weights; the message lists those that there are.
     """
-    from murmurate.runs import pretrained as weights
+    from murmurate import compilation_cache
+
+    compilation_cache.configure()
+    from murmurate.runs import pretrained as weights  # only now, because it loads JAX
 
     return weights.pretrained(objective, sensing, scheduler)
 

@@ -5,11 +5,6 @@ import numpy as np
 import pytest
 
 
-@pytest.fixture(scope="module", autouse=True)
-def _strict_numerics(strict_numerics):
-    """The kernels hold under the strictest rules."""
-
-
 @pytest.fixture(scope="module", params=[np.float64, jnp.float32], ids=["numpy64", "jax32"])
 def array(request):
     """Makes the arrays that the kernels get: NumPy's in float64, or JAX's in float32."""

@@ -34,7 +34,7 @@ def test_pettingzoo_loop(capsys):
     assert "visible" in capsys.readouterr().out
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.filterwarnings("default")
 def test_stable_baselines3_ppo():
     pytest.importorskip("stable_baselines3")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import struct
 
-import jax
 import pytest
 
 from murmurate.cli.main import main
@@ -14,12 +13,6 @@ from murmurate.interop.tensorboard import FOLDER, Events, scalars
 from murmurate.runs import train
 from murmurate.runs.folder import METRICS
 from tiny import tiny, write_toml
-
-
-@pytest.fixture(autouse=True)
-def usual_broadcasting():
-    with jax.numpy_rank_promotion("allow"):
-        yield
 
 
 def read(folder):

@@ -23,7 +23,7 @@ stable_baselines3 = pytest.importorskip("stable_baselines3")
 gymnasium = pytest.importorskip("gymnasium")
 
 # The warnings of another project are not ours to mend.
-pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("default")]
+pytestmark = [pytest.mark.nightly, pytest.mark.filterwarnings("default")]
 
 SEEDS = range(5)
 HORIZON = 16

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import shutil
 
-import jax
 import pytest
 
 from murmurate.errors import RunError
@@ -14,13 +13,6 @@ from murmurate.runs import experiment as configuration
 from murmurate.runs import train
 from murmurate.runs.folder import RunFolder
 from tiny import tiny
-
-
-@pytest.fixture(autouse=True)
-def usual_broadcasting():
-    """A test that trains needs the usual rules, as optax does."""
-    with jax.numpy_rank_promotion("allow"):
-        yield
 
 
 @pytest.fixture

@@ -1,24 +1,14 @@
 from __future__ import annotations
 
-import jax
 import pytest
 
-from murmurate.runs import train
-from tiny import tiny, write_toml
-
-
-@pytest.fixture(scope="session", autouse=True)
-def usual_broadcasting():
-    with jax.numpy_rank_promotion("allow"):
-        yield
+from tiny import write_toml
 
 
 @pytest.fixture(scope="session")
-def finished(tmp_path_factory):
+def finished(tiny_run):
     """A run that nothing interrupted; not to be changed."""
-    folder = tmp_path_factory.mktemp("runs") / "tiny"
-    train.discover(tiny(), folder)
-    return folder
+    return tiny_run()
 
 
 @pytest.fixture

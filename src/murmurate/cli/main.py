@@ -13,7 +13,7 @@ import warnings
 from collections.abc import Sequence
 from typing import Any
 
-from murmurate import __version__
+from murmurate import __version__, compilation_cache
 from murmurate.errors import BeyondTrainingWarning, InputError, RunError, UsageError, suggestion
 
 __all__ = ["main"]
@@ -79,6 +79,7 @@ def _run(words: list[str]) -> int:
         what = "flag" if verb.startswith("-") else "verb"
         known = ["--help", "--version"] if verb.startswith("-") else list(VERBS)
         raise UsageError(f"unknown {what} {verb}{suggestion(verb, known)} (see murmurate --help)")
+    compilation_cache.configure()
     with warnings.catch_warnings():
         warnings.simplefilter("once", BeyondTrainingWarning)
         warnings.showwarning = _warn

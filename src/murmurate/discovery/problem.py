@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Self
+from typing import TypeVar
 
 from murmurate.discovery.cascade import RestRule
 from murmurate.errors import GREATEST, MOST, InputError, check_number
@@ -24,6 +24,8 @@ from murmurate.world import (
 )
 
 __all__ = ["GATHERING", "DiscoveryConfig", "Problem", "StageConfig"]
+
+ProblemT = TypeVar("ProblemT", bound="Problem")
 
 GATHERING = "gathering"
 """In weights, the gathering signal of either objective: close (C1) or nclose (C2)."""
@@ -182,7 +184,7 @@ class Problem:
             weights[name] = given.get(name, signal.weight if gathering is None else gathering)
         return weights
 
-    def of_size(self, robots: int) -> Self:
+    def of_size(self: ProblemT, robots: int) -> ProblemT:
         """Returns the same problem for a swarm of another size, in a world scaled to it.
 
         In a larger world the objective changes by less where robots move as far: what counts as rest is as much less,

@@ -10,6 +10,7 @@ from typing import Any, Literal, cast, get_args
 import numpy as np
 from jaxtyping import Bool, Float
 
+from murmurate import compilation_cache
 from murmurate.errors import MOST, InputError, check_choice, check_number, suggestion
 from murmurate.world import (
     OBJECTIVES,
@@ -113,6 +114,7 @@ def make_gathering(
     Raises:
         InputError: There is no such field, or a value is not allowed.
     """
+    compilation_cache.configure()
     known = [field.name for field in fields(WorldConfig)]
     for name, value in sizes.items():
         if name not in known:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -11,6 +11,7 @@ from jaxtyping import Array, Bool, Float, PRNGKeyArray
 __all__ = ["ActionDistribution", "Environment", "Policy", "Transition", "Value", "step_with_autoreset"]
 
 
+@runtime_checkable
 class Transition(Protocol):
     """The result of one step; the batch is the last axis."""
 
@@ -40,6 +41,7 @@ class Transition(Protocol):
         ...
 
 
+@runtime_checkable
 class Environment(Protocol):
     """A batch of Markov decision processes; `step` never starts a new episode."""
 
@@ -56,6 +58,7 @@ class Environment(Protocol):
         ...
 
 
+@runtime_checkable
 class ActionDistribution(Protocol):
     """The distribution of the actions in a batch of episodes; the batch is the last axis."""
 
@@ -68,6 +71,7 @@ class ActionDistribution(Protocol):
         ...
 
 
+@runtime_checkable
 class Policy(Protocol):
     """A policy network: an Equinox module whose floating-point arrays are trained.
 
@@ -81,6 +85,7 @@ class Policy(Protocol):
         ...
 
 
+@runtime_checkable
 class Value(Protocol):
     """A value network: an Equinox module whose floating-point arrays are trained."""
 

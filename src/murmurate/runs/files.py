@@ -313,12 +313,14 @@ def write_tree(path: str | Path, tree: Any, notes: Any = None) -> None:
     write_bytes(path, safetensors.numpy.save(_arrays(tree), metadata=header))
 
 
-def read_tree(path: str | Path, template: T) -> T:
+def read_tree(path: str | Path, template: T, renamed: Mapping[str, str] | None = None) -> T:
     """Reads a file of `write_tree`, bit for bit.
 
     Args:
         path: The file.
         template: A tree of the same structure; its arrays, or `jax.ShapeDtypeStruct`s, say what the file must hold.
+        renamed: New names of fields that older versions called otherwise: used where the template has no array of the
+            old name.
 
     Returns:
         The template with the arrays of the file.
@@ -331,6 +333,10 @@ def read_tree(path: str | Path, template: T) -> T:
         arrays = safetensors.numpy.load(data)
     except (safetensors.SafetensorError, KeyError, ValueError) as error:
         raise RunError(f"{path} is not a valid safetensors file: {error}") from None
+    if renamed:
+        known = {name for name, _ in _named_leaves(template)}
+        new_names = {name: "/".join(renamed.get(part, part) for part in name.split("/")) for name in arrays}
+        arrays = {name if name in known else new_names[name]: array for name, array in arrays.items()}
     return _fit(arrays, template, str(path))
 
 

@@ -61,6 +61,17 @@ _NO_LOCKS = (errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS, errno.
 
 _FRACTIONS = ("valid", "contact_free", "inside", "mutually_visible", "gathered", "safe", "at_rest")
 _STEPS = ("base_steps", "auxiliary_steps", "total_steps", "bound_steps")
+_RENAMED = {
+    "world": "inner",
+    "standing": "potential",
+    "mirror": "chirality",
+    "held": "committed_velocity",
+    "left": "remaining_distance",
+    "moving": "steps_to_go",
+    "epochs": "completed_epochs",
+}
+"""New names of the fields of an environment's state in checkpoints that version 0.1.0 wrote."""
+
 _OUTCOME = "valid patterns discovered"  # what version 0.1.0 wrote instead of `valid_pattern = true`
 
 
@@ -301,7 +312,7 @@ class RunFolder:
             raise RunError(f"{path} is not a checkpoint of this version of murmurate: {error!r}") from None
         if training:
             template["train"] = eqx.filter_eval_shape(_training_state, search, policies, sigma)
-        tree = files.read_tree(path, template)
+        tree = files.read_tree(path, template, _RENAMED)
         return Checkpoint(Snapshot(tree["policies"], tree["sigma"], valid, tree["train"], finished), rows, seconds)
 
     def checkpoint_rows(self) -> int:

@@ -12,7 +12,6 @@ import contextlib
 import importlib
 import json
 import os
-import platform
 import signal
 import subprocess
 import sys
@@ -22,6 +21,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from murmurate import compilation_cache
 from murmurate.errors import InputError, RunError
 
 try:
@@ -33,9 +33,6 @@ __all__ = ["LOG", "end_reason", "start_process", "work"]
 
 LOG = "worker.log"
 """What a worker writes on stderr, in the job's folder; removed when the job is finished."""
-
-COMPILED = ".compiled"
-"""Compiled programs, shared by jobs of the same shapes, beside the jobs' folders: one folder for each machine."""
 
 
 def start_process(
@@ -93,7 +90,7 @@ def work(spec: str, threads: int = 1, gpus: int = 0) -> str:
         Why the job is not finished; "" when it is.
     """
     folder = Path(json.loads(spec)["folder"])
-    _set_environment(folder, threads, gpus)
+    _set_environment(threads, gpus)
     try:
         with (folder / LOG).open("a") as log:
             if fcntl is not None:
@@ -109,14 +106,12 @@ def work(spec: str, threads: int = 1, gpus: int = 0) -> str:
     return reason
 
 
-def _set_environment(folder: Path, threads: int, gpus: int) -> None:
+def _set_environment(threads: int, gpus: int) -> None:
     """Limits what JAX and NumPy use of the machine, before they are loaded."""
     os.environ["NPROC"] = os.environ["OMP_NUM_THREADS"] = str(threads)
     if not gpus:
         os.environ["JAX_PLATFORMS"] = "cpu"
-    # Not shared by machines: what is compiled for one processor may crash another.
-    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(folder.parent / COMPILED / platform.node()))
-    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
+    compilation_cache.configure()
 
 
 @contextlib.contextmanager

@@ -45,7 +45,7 @@ class Target:
         default = self.weights.get("gathering", 1.0) if signal in (self.gathering, "gathering") else 1.0
         return self.weights.get(self.gathering if signal == "gathering" else signal, default)
 
-    def signals(self, positions: Float[np.ndarray, "*batch robots 2"]) -> dict[str, Float[np.ndarray, "*batch"]]:
+    def signals(self, positions: Float[np.ndarray, "*batch robots 2"]) -> dict[str, Float[Any, "*batch"]]:
         """Returns the signals of the objective by name, in float64.
 
         Args:

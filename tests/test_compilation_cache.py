@@ -1,0 +1,113 @@
+"""The cache of compiled programs: where it is, when it is not, and that it changes no number."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from murmurate import compilation_cache
+
+SMALL = """
+from murmurate import compilation_cache
+{before}
+compilation_cache.configure()
+import jax
+print(jax.jit(lambda x: x + 1)(1))
+print(jax.config.jax_compilation_cache_dir)
+"""
+
+TRAIN = """
+import hashlib
+from murmurate import compilation_cache
+compilation_cache.configure()
+from murmurate.discovery import Search
+from tiny import tiny
+import equinox as eqx, jax, numpy as np
+search = Search(tiny())
+snapshot, _ = search.advance(search.begin())
+weights = jax.tree.leaves(eqx.filter(snapshot.train.policy, eqx.is_array))
+print(hashlib.sha256(b"".join(np.asarray(leaf).tobytes() for leaf in weights)).hexdigest())
+"""
+
+
+def execute(code, tmp_path, **variables):
+    """Runs Python in a process whose home is empty; returns what it wrote."""
+    kept = {name: value for name, value in os.environ.items() if not name.startswith(("JAX_", "MURMURATE", "XDG_"))}
+    environment = kept | {"HOME": str(tmp_path / "home"), "PYTHONPATH": os.pathsep.join(sys.path)} | variables
+    return subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+
+
+@pytest.mark.parametrize("before", ["", "import jax; jax.jit(lambda x: x - 1)(1)"], ids=["before JAX", "after JAX"])
+@pytest.mark.skipif(sys.platform != "linux", reason="another folder")
+def test_programs_are_kept_in_the_platforms_folder(before, tmp_path):
+    first = execute(SMALL.format(before=before), tmp_path)
+    folder = Path(first.stdout.split()[1])
+    assert folder.is_relative_to(tmp_path / "home" / ".cache" / "murmurate")
+    entries = {path: path.read_bytes() for path in folder.glob("*-cache")}
+    assert entries
+    assert execute(SMALL.format(before=before), tmp_path).stdout == first.stdout
+    assert {path: path.read_bytes() for path in folder.glob("*-cache")} == entries
+    assert first.stderr == ""
+
+
+@pytest.mark.parametrize(
+    ("variables", "part"),
+    [
+        ({"MURMURATE_CACHE": "off"}, "None"),
+        ({"MURMURATE_CACHE": "{tmp}/mine"}, "{tmp}/mine/compiled-"),
+        ({"XDG_CACHE_HOME": "{tmp}/xdg"}, "{tmp}/xdg/murmurate/compiled-"),
+        ({"JAX_COMPILATION_CACHE_DIR": "{tmp}/jax", "MURMURATE_CACHE": "{tmp}/mine"}, "{tmp}/jax"),
+    ],
+)
+@pytest.mark.skipif(sys.platform != "linux", reason="another folder")
+def test_variables_move_it_or_switch_it_off(variables, part, tmp_path):
+    variables = {name: value.format(tmp=tmp_path) for name, value in variables.items()}
+    result = execute(SMALL.format(before=""), tmp_path, **variables)
+    assert result.stdout.split()[1].startswith(part.format(tmp=tmp_path))
+    assert result.stderr == ""
+
+
+def test_without_a_writable_folder_one_line_says_so(tmp_path):
+    (tmp_path / "file").write_text("")
+    result = execute(SMALL.format(before=""), tmp_path, MURMURATE_CACHE=str(tmp_path / "file"))
+    assert result.stdout == "2\nNone\n"
+    assert result.stderr == (
+        "murmurate: programs are compiled anew: Not a directory (set MURMURATE_CACHE to a folder, or off)\n"
+    )
+
+
+def test_a_damaged_entry_is_no_news(tmp_path):
+    folder = Path(execute(SMALL.format(before=""), tmp_path).stdout.split()[1])
+    for entry in folder.glob("*-cache"):
+        entry.write_bytes(entry.read_bytes()[:20])
+    result = execute(SMALL.format(before=""), tmp_path)
+    assert result.stdout.startswith("2\n")
+    assert result.stderr == ""
+
+
+def test_the_programs_used_longest_ago_are_removed(tmp_path):
+    folder = tmp_path / "compiled-x"
+    folder.mkdir()
+    for number in range(4):
+        path = folder / f"program{number}-cache"
+        path.write_bytes(bytes(100))
+        os.utime(path, (number, number))
+    (folder / "notes.txt").write_bytes(bytes(1000))
+    compilation_cache._trim(tmp_path, 250)
+    assert {path.name for path in folder.iterdir()} == {"program2-cache", "program3-cache", "notes.txt"}
+
+
+def test_the_same_seed_gives_the_same_weights_with_and_without_it(tmp_path):
+    shared = os.environ.get(compilation_cache.VARIABLE, str(tmp_path))
+    runs = [execute(TRAIN, tmp_path, MURMURATE_CACHE=value) for value in ("off", shared, shared)]
+    assert len({result.stdout for result in runs}) == 1
+    assert [result.stderr for result in runs] == [""] * 3
+
+
+def test_importing_murmurate_does_not_load_jax(tmp_path):
+    result = execute("import sys, murmurate; print('jax' in sys.modules, 'numpy' in sys.modules)", tmp_path)
+    assert result.stdout == "False False\n"
