@@ -303,7 +303,7 @@ class GatheringVectorEnv(VectorEnv[Any, Float[np.ndarray, "envs robots 2"], np.n
         """Returns the observations and infos of the episodes that have ended."""
         observed, observations = self._episodes.observation, np.full(self.num_envs, None, object)
         for index in np.flatnonzero(ended):
-            observations[index] = _member(observed, index)
+            observations[index] = _member(observed, int(index))
         return {
             "final_obs": observations,
             "_final_obs": ended.copy(),
