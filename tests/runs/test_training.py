@@ -56,7 +56,7 @@ def assert_same(folder, other):
 
 def test_a_finished_run_holds_all_its_parts(finished):
     assert sorted(path.relative_to(finished).as_posix() for path in finished.rglob("*") if path.is_file()) == sorted(
-        [*KEPT, "metrics.jsonl", "manifest.json"]
+        [*KEPT, "metrics.jsonl", "manifest.json", "figures/discovery.png"]
     )
     manifest = RunFolder(finished).verify()
     assert set(manifest) == {
