@@ -103,7 +103,7 @@ class JitteredStart(Start):
     """
 
     points: Float[Array, "layouts robots 2"]
-    noise: float = 0.0
+    noise: Any = 0.0
 
     def sample(self, key: PRNGKeyArray, batch: int, world: WorldConfig) -> Float[Array, "batch robots 2"]:
         """Draws configurations and adds noise U(-noise R, noise R) to every coordinate."""
