@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from murmurate.analysis.optimum.formation import Target
-from murmurate.analysis.optimum.polish import _Problem, _repaired, polish
+from murmurate.analysis.optimum.polish import _Problem, _repair, polish
 from murmurate.geometry import distances, neighbors_and_visible, smallest_ring
 from murmurate.world import WorldConfig
 from oracles.configurations import disjoint
@@ -42,7 +42,7 @@ def test_a_small_step_outside_the_constraints_is_taken_back(objective, size):
     for _ in range(5):
         outside = best + size * rng.normal(size=best.shape)
         assert problem.constraints(outside).slack(outside)[0].min() < -size / 10
-        inside = _repaired(outside, problem)
+        inside = _repair(outside, problem)
         assert problem.constraints(inside).slack(inside)[0].min() > -1e-10
         assert np.abs(inside - outside).max() < 10 * size
 
