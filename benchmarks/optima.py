@@ -18,13 +18,14 @@ from pathlib import Path
 import numpy as np
 
 from murmurate import plots
-from murmurate.analysis import convex_layers, symmetry, upright
+from murmurate.analysis import symmetry, upright
 from murmurate.analysis.optimum import best_known
 from murmurate.analysis.optimum.annealing import AnnealingConfig
 from murmurate.analysis.optimum.best_known import BestKnown
 from murmurate.analysis.optimum.formation import Target
 from murmurate.analysis.optimum.polish import polish
 from murmurate.analysis.optimum.search import OptimumConfig, hop, search
+from murmurate.geometry import convex_layers
 from murmurate.runs.optima import EXACT
 from murmurate.runs.presets import preset
 

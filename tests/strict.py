@@ -5,10 +5,19 @@ from __future__ import annotations
 import functools
 import sys
 
-from beartype import BeartypeConf, beartype
+import jax
+import numpy as np
+from beartype import BeartypeConf, FrozenDict, beartype
 from beartype.roar import BeartypeCallHintViolation
 
 __all__ = ["check_types"]
+
+_NUMBERS = {
+    float: float | int | np.number | np.ndarray | jax.Array,
+    int: int | np.integer | np.ndarray | jax.Array,
+    bool: bool | np.bool_ | np.ndarray | jax.Array,
+}
+"""What a number is under a jit, or as NumPy computes it."""
 
 _PASSED_THROUGH = ("beartype", "contextlib", "dataclasses", "equinox", "functools", "jax", "jaxtyping", __name__)
 """Modules between a function and what called it."""
@@ -19,8 +28,7 @@ def check_types(function):
 
     What a test passes itself is not checked: many tests pass what is wrong, to see how the package refuses it.
     """
-    # As Python's typing has it: where a float is wanted, an int is as good.
-    checked = beartype(conf=BeartypeConf(is_pep484_tower=True))(function)
+    checked = beartype(conf=BeartypeConf(hint_overrides=FrozenDict(_NUMBERS)))(function)
 
     @functools.wraps(function)
     def check(*args, **kwargs):

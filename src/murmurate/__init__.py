@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from murmurate.discovery import Cascade, Validity, check_validity
     from murmurate.errors import InputError, RunError, UsageError
     from murmurate.policies import Policy, PolicyNetwork, Shield
+    from murmurate.policies.baselines import Baseline
     from murmurate.runs.evaluate import Evaluation, evaluate
     from murmurate.runs.experiment import ExperimentConfig
     from murmurate.runs.run import Run
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _NAMES = {
+    "Baseline": "policies.baselines",
     "Cascade": "discovery",
     "Configuration": "world",
     "Evaluation": "runs.evaluate",
@@ -63,6 +65,7 @@ _NAMES = {
 _MODULES = ("analysis", "discovery", "errors", "geometry", "interop", "learning", "plots", "policies", "runs", "world")
 
 __all__ = [
+    "Baseline",
     "Cascade",
     "Configuration",
     "Evaluation",

@@ -9,10 +9,11 @@ import pytest
 
 from murmurate.analysis import symmetry
 from murmurate.analysis.optimum.best_known import BestKnown, best_known, is_record, load
-from murmurate.analysis.optimum.bounds import PROVED, ring, upper_bound
+from murmurate.analysis.optimum.bounds import PROVED, upper_bound
 from murmurate.analysis.optimum.formation import Target
 from murmurate.analysis.optimum.polish import polish
 from murmurate.errors import InputError
+from murmurate.geometry import smallest_ring
 from murmurate.runs.presets import preset
 from oracles import signals, visibility
 
@@ -39,7 +40,7 @@ def test_each_entry_is_a_valid_pattern_of_the_stated_value(entry):
 def test_each_entry_is_between_the_ring_and_the_bound(entry):
     target = entry.target
     assert entry.value <= upper_bound(target) + 1e-9
-    circle = ring(entry.robots, entry.radius, entry.safe_distance).positions
+    circle = smallest_ring(entry.robots, entry.radius, entry.safe_distance).positions
     if target.is_valid(circle):
         assert entry.value >= target.value(circle) - 1e-9
     if (entry.objective, entry.robots) in PROVED:
@@ -92,7 +93,7 @@ def test_the_best_ring_of_ten_is_a_little_longer_than_wide():
     entry = next(e for e in TABLE if (e.robots, e.objective, e.radius) == (10, "C2", 1.0))
     assert symmetry(entry.positions, 1e-6).name == "D_2"
     assert symmetry(entry.positions, 0.02).name == "D_10"
-    assert entry.value > entry.target.value(ring(10, 1.0, 5.0).positions) + 1e-5
+    assert entry.value > entry.target.value(smallest_ring(10, 1.0, 5.0).positions) + 1e-5
 
 
 def entry_with(**changes):

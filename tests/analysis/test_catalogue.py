@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from murmurate.analysis import TOLERANCE, Catalogue, Finding, merge, symmetry
+from murmurate.analysis import TOLERANCE, Catalogue, Finding, symmetry
 from murmurate.errors import InputError
 from murmurate.geometry.similarity import distance
 
@@ -91,7 +91,6 @@ FINDINGS = st.lists(
     min_size=1,
     max_size=5,
 )
-CATALOGUES = FINDINGS.map(Catalogue.from_findings)
 
 
 def same(first, second):
@@ -108,18 +107,7 @@ def test_the_order_of_the_findings_does_not_matter(findings, source):
 
 
 @settings(max_examples=40)
-@given(CATALOGUES, CATALOGUES, CATALOGUES)
-def test_merging_is_commutative_associative_and_idempotent(a, b, c):
-    assert same(merge([a, b]), merge([b, a]))
-    assert same(merge([merge([a, b]), c]), merge([a, merge([b, c])]))
-    assert same(merge([a, b, c]), merge([merge([c, a]), b]))
-    assert same(merge([a, a]), a)
-    assert same(merge([a, merge([a, b])]), merge([a, b]))
-    assert len(merge([a, b]).findings) <= len(a.findings) + len(b.findings)
-
-
-@settings(max_examples=40)
-@given(CATALOGUES)
+@given(FINDINGS.map(Catalogue.from_findings))
 def test_a_file_loses_nothing(catalogue):
     assert same(Catalogue.from_dict(json.loads(json.dumps(catalogue.to_dict(), allow_nan=False))), catalogue)
 
@@ -247,8 +235,6 @@ def test_what_does_not_compare():
     assert len(Catalogue.from_findings(sizes).classes) == 1
     with pytest.raises(InputError, match=r"^findings = 0: must be one or more"):
         Catalogue.from_findings([])
-    with pytest.raises(InputError, match=r"^catalogues = 0"):
-        merge([])
 
 
 @pytest.mark.parametrize("name", ["tolerance", "symmetry_tolerance"])
@@ -256,15 +242,6 @@ def test_what_does_not_compare():
 def test_no_such_tolerance(name, bad: Any):
     with pytest.raises(InputError, match=rf"^{name} = "):
         Catalogue.from_findings([finding(ring(5))], **{name: bad})
-
-
-@pytest.mark.parametrize(
-    ("name", "value"), [("tolerance", 0.2), ("symmetry_tolerance", 0.2), ("scaling", False), ("reflection", False)]
-)
-def test_catalogues_of_different_kinds_are_not_merged(name, value):
-    ways: tuple[dict[str, Any], ...] = {"tolerance": 0.1}, {"tolerance": 0.1, name: value}
-    with pytest.raises(InputError, match=rf"^{name} = {value}: must be .*, as in the first catalogue"):
-        merge(Catalogue.from_findings([finding(ring(5))], **how) for how in ways)
 
 
 BAD_VALUES = {

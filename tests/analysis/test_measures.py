@@ -1,4 +1,4 @@
-"""Layers, nearest distances and the margin of visibility: hand-made cases, and the oracle of shadows as polygons."""
+"""Nearest distances and the margin of visibility: hand-made cases, and the oracle of shadows as polygons."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from murmurate.analysis import convex_layers, nearest_distances, visibility_margin
+from murmurate.analysis import nearest_distances, visibility_margin
 from murmurate.analysis.measures import fit_line
 from murmurate.errors import InputError
 from murmurate.geometry import visible
@@ -22,47 +22,6 @@ CENTRE = np.zeros((1, 2))
 def ring(robots, radius=1.0, begin=0.0):
     angle = begin + 2 * np.pi * np.arange(robots) / robots
     return radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-
-
-SQUARE = 2 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-ON_EDGES = np.array([[0.0, -2.0], [2.0, 0.7]])
-
-LAYERS = {
-    "one robot": (CENTRE, (1,)),
-    "two": (ring(2), (2,)),
-    "triangle": (ring(3), (3,)),
-    "line": (np.arange(5)[:, None] * [[0.3, 0.7]], (5,)),
-    "ring around one": (np.vstack([ring(9), CENTRE]), (9, 1)),
-    "three rings": (np.vstack([ring(5, 3.0), ring(4, 1.0), ring(3, 0.2)]), (5, 4, 3)),
-    "on the edges": (np.vstack([SQUARE, ON_EDGES]), (6,)),
-    "just inside": (np.vstack([SQUARE, 0.999 * ON_EDGES]), (4, 2)),
-    "line inside": (np.vstack([SQUARE, [[-0.5, 0.0], [0.0, 0.0], [0.5, 0.0]]]), (4, 3)),
-    "all at one place": (np.ones((4, 2)), (4,)),
-    "two at one corner": (np.vstack([SQUARE, SQUARE[:1], CENTRE]), (5, 1)),
-    "two inside at one place": (np.vstack([SQUARE, CENTRE, CENTRE]), (4, 2)),
-}
-
-
-@pytest.mark.parametrize(("points", "layers"), LAYERS.values(), ids=LAYERS)
-@pytest.mark.parametrize("angle", [0.0, 0.4, 2.0])
-def test_layers(points, layers, angle):
-    turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
-    assert convex_layers(points) == layers
-    assert convex_layers(7 * points @ turn.T + 5) == layers
-    assert convex_layers((7 * points @ turn.T).astype(np.float32)) == layers
-
-
-@given(st.integers(3, 12), st.integers(0, 1000))
-def test_the_hull_is_qhulls(robots, seed):
-    from scipy.spatial import ConvexHull
-
-    left, layers = np.random.default_rng(seed).normal(size=(robots, 2)), []
-    found = convex_layers(left)
-    while len(left) > 2:
-        vertices = ConvexHull(left).vertices
-        layers.append(len(vertices))
-        left = np.delete(left, vertices, axis=0)
-    assert found == tuple(layers + [len(left)] * bool(len(left)))
 
 
 def test_nearest_distances():
@@ -112,7 +71,7 @@ def test_margins_that_need_no_third_robot_or_no_distance():
     "bad", [np.zeros(4), np.zeros((0, 2)), np.full((2, 2), np.nan), [[1.0], [1.0, 2.0]], [["a", 1]]]
 )
 def test_no_such_configuration(bad):
-    for measure in (convex_layers, nearest_distances, lambda x: visibility_margin(x, 1.0)):
+    for measure in (nearest_distances, lambda x: visibility_margin(x, 1.0)):
         with pytest.raises(InputError, match=r"^positions = "):
             measure(bad)
 

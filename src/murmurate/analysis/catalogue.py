@@ -20,12 +20,13 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from murmurate.analysis.measures import convex_layers, nearest_distances, visibility_margin
+from murmurate.analysis.measures import nearest_distances, visibility_margin
 from murmurate.analysis.symmetry import SYMMETRY_TOLERANCE, Symmetry, symmetry
 from murmurate.errors import GREATEST, MOST, InputError, check_choice, check_number
-from murmurate.geometry.similarity import configuration, distance, profile
+from murmurate.geometry.hull import convex_layers
+from murmurate.geometry.similarity import configuration, distance, lower_bound, profile
 
-__all__ = ["TOLERANCE", "Catalogue", "Finding", "PatternClass", "merge"]
+__all__ = ["TOLERANCE", "Catalogue", "Finding", "PatternClass", "unmatched"]
 
 TOLERANCE = 0.125
 """Default tolerance, in root mean square radii, chosen by measurement.
@@ -271,22 +272,33 @@ class Catalogue:
         return [HEADER, *map(_row, self.classes)]
 
 
-def merge(catalogues: Iterable[Catalogue]) -> Catalogue:
-    """Returns the catalogue of all findings of several; in what order they are merged, and how often, does not matter.
+def unmatched(
+    catalogue: Catalogue, configurations: Iterable[Float[np.ndarray, "robots 2"]]
+) -> tuple[PatternClass, ...]:
+    """Returns the classes whose representative is the same pattern as none of the given configurations.
 
-    Raises:
-        InputError: There is none, their options differ, or their findings do not compare.
+    They are compared as the catalogue compares its findings: by its tolerance, with or without scaling and reflection.
+
+    Args:
+        catalogue: What runs found.
+        configurations: What something else found, such as an annealer, world units.
+
+    Returns:
+        The classes that have no match, best first.
     """
-    catalogues = list(catalogues)
-    if not catalogues:
-        raise InputError("catalogues", 0, "one or more")
-    for name in _OPTIONS:
-        first, *others = (getattr(catalogue, name) for catalogue in catalogues)
-        for other in others:
-            if other != first:
-                raise InputError(name, other, f"{first}, as in the first catalogue")
-    findings = (finding for catalogue in catalogues for finding in catalogue.findings)
-    return Catalogue.from_findings(findings, **{name: getattr(catalogues[0], name) for name in _OPTIONS})
+    others, scaling, limit = list(configurations), catalogue.scaling, catalogue.tolerance
+
+    def matched(pattern: PatternClass) -> bool:
+        ours = pattern.representative.positions
+        # Most are far apart, which the cheap bound tells; the nearest by it come first.
+        near = sorted((lower_bound(ours, other, scaling=scaling), place) for place, other in enumerate(others))
+        return any(
+            distance(ours, others[place], scaling=scaling, reflection=catalogue.reflection, limit=limit) <= limit
+            for bound, place in near
+            if bound <= limit
+        )
+
+    return tuple(pattern for pattern in catalogue.classes if not matched(pattern))
 
 
 def _unique(findings: Iterable[Finding]) -> list[Finding]:

@@ -2,68 +2,17 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Complex, Float
+from jaxtyping import Float
 
 from murmurate.errors import check_number
 from murmurate.geometry import distances
-from murmurate.geometry.similarity import configuration, normalized
+from murmurate.geometry.similarity import configuration
 
-__all__ = ["Line", "convex_layers", "fit_line", "nearest_distances", "on_hull", "visibility_margin"]
-
-STRAIGHT = 1e-6
-"""By how much an angle may miss pi and still be straight, radians: positions are recorded in float32."""
-
-COINCIDENT = 1e-9
-"""Robots this near, in root mean square radii, are at the same place: they have no direction from each other."""
-
-
-def convex_layers(positions: Float[np.ndarray, "robots 2"]) -> tuple[int, ...]:
-    """Counts the robots on the convex hull, on the hull of the robots inside it, and so on.
-
-    Robots on an edge of a hull are on the hull; so are all the robots of a straight line.
-
-    Args:
-        positions: Centres of the robots, world units.
-
-    Returns:
-        Robots on each layer, the hull first.
-
-    Raises:
-        InputError: It is no configuration of finite numbers.
-    """
-    left, layers = normalized(positions), []
-    while len(left):
-        outermost = _on_hull(left)
-        layers.append(int(outermost.sum()))
-        left = left[~outermost]
-    return tuple(layers)
-
-
-def on_hull(positions: Float[np.ndarray, "robots 2"]) -> Bool[np.ndarray, " robots"]:
-    """Returns which robots are on the convex hull; those on one of its edges are.
-
-    Args:
-        positions: Centres of the robots, world units.
-
-    Raises:
-        InputError: It is no configuration of finite numbers.
-    """
-    return _on_hull(normalized(positions))
-
-
-def _on_hull(z: Complex[np.ndarray, " robots"]) -> Bool[np.ndarray, " robots"]:
-    """Returns which robots have all others on one side of a straight line."""
-
-    def widest_gap(others: Complex[np.ndarray, " others"]) -> float:
-        angles = np.sort(np.angle(others[np.abs(others) > COINCIDENT]))
-        return float(np.diff(angles, append=angles[:1] + 2 * math.pi).max(initial=0)) if len(angles) else math.inf
-
-    return np.array([widest_gap(z - place) >= math.pi - STRAIGHT for place in z])
+__all__ = ["Line", "fit_line", "nearest_distances", "visibility_margin"]
 
 
 def nearest_distances(positions: Float[np.ndarray, "robots 2"]) -> Float[np.ndarray, " robots"]:

@@ -11,6 +11,7 @@ import contextlib
 import dataclasses
 import inspect
 from collections.abc import Collection, Mapping, Sequence
+from itertools import zip_longest
 from typing import Any, Literal, NoReturn, get_args, get_origin
 
 from murmurate.errors import UsageError, suggestion
@@ -127,7 +128,7 @@ def chosen_strategies(argv: Sequence[str], aliases: Mapping[str, str] | None = N
     """
     paths = {alias: path for path, alias in (aliases or {}).items()}
     chosen = {}
-    for word, following in zip(argv, [*argv[1:], ""], strict=True):
+    for word, following in zip_longest(argv, argv[1:], fillvalue=""):
         name, equals, text = word.partition("=")
         path = paths.get(name, _current_name(name).removeprefix("--"))
         if name.startswith("--") and path.rpartition(".")[2] == config_io.USE:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import shlex
-import sys
 from argparse import Namespace
 from collections.abc import Sequence
 from pathlib import Path
@@ -57,7 +56,7 @@ def run(argv: Sequence[str]) -> int:
 
 
 def _compare(options: Namespace, command: str) -> None:
-    from murmurate.policies.baselines import BASELINES
+    from murmurate.policies.baselines import Baseline
     from murmurate.runs.comparison import Comparison, compare, conditions
     from murmurate.runs.execute import InProcess, LocalProcesses
 
@@ -67,10 +66,8 @@ def _compare(options: Namespace, command: str) -> None:
     starts = _words(options.starts, "--starts")
     conditions([], sensings, schedulers, sizes, starts)
     runs = _runs(options, sensings)
-    names = [*runs, *BASELINES]
+    names = [*runs, *Baseline.registered()]
     methods = names if options.methods is None else _words(options.methods, "--methods")
-    # A baseline of one's own may be in the folder where the command is given.
-    sys.path.insert(0, str(Path.cwd()))
     wanted = conditions(methods, sensings, schedulers, sizes, starts, names)
     base = next(iter(next(iter(runs.values())).values())).experiment
     comparison = Comparison(base, options.episodes, options.seed)
@@ -120,7 +117,7 @@ def _write(options: Namespace, comparison: Comparison) -> None:
         pictures.append(out / "failures.png")
         plots.save(plots.failures_figure(learned, worlds), pictures[1])
     methods = dict.fromkeys(row["method"] for row in rows if is_baseline(row["method"]))
-    deviations = {method: getattr(find_baseline(method), "deviations", "") for method in methods}
+    deviations = {method: find_baseline(method).deviations for method in methods}
     notes = [f"`{method}`: {text}" for method, text in deviations.items() if text]
     files.write_text(out / "comparison.md", comparison_page.page(rows, commands, notes))
     if options.into is not None:

@@ -6,6 +6,7 @@ import sys
 from argparse import Namespace
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
+from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -125,7 +126,7 @@ def _parser(word: str | None, argv: Sequence[str]) -> Parser:
 
 def _value(argv: Sequence[str], flag: str) -> str | None:
     """Returns the value of a flag, before the command line is parsed."""
-    for word, following in zip(argv, [*argv[1:], ""], strict=True):
+    for word, following in zip_longest(argv, argv[1:], fillvalue=""):
         name, equals, text = word.partition("=")
         if name == flag:
             return text if equals else following or None

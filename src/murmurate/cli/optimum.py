@@ -96,11 +96,12 @@ def _print_comparison(config: OptimumConfig, best: Formation) -> None:
     """Says how the best one stands beside what is proved and what is known."""
     from murmurate.analysis.optimum import bounds
     from murmurate.analysis.optimum.best_known import BEATS, best_known
+    from murmurate.geometry import smallest_ring
 
     target, sizes = config.target, config.world
     if best.valid:
         print(f"packing bound on valid patterns: {bounds.upper_bound(target):.7f}")
-        ring = bounds.ring(sizes.robots, sizes.radius, sizes.safe_distance)
+        ring = smallest_ring(sizes.robots, sizes.radius, sizes.safe_distance)
         print(f"smallest regular ring, radius {ring.radius:.6f}: {target.value(ring.positions):.7f}")
     known = best_known(target)
     if known is None:

@@ -20,6 +20,8 @@ from murmurate.geometry.contact import (
     in_contact,
     outside,
 )
+from murmurate.geometry.hull import convex_layers, on_hull
+from murmurate.geometry.rings import Ring, smallest_ring
 from murmurate.geometry.visibility import (
     neighbors,
     neighbors_and_visible,
@@ -30,18 +32,22 @@ from murmurate.geometry.visibility import (
 )
 
 __all__ = [
+    "Ring",
     "any_contact",
     "any_outside",
     "clearances",
     "closest_approach",
     "contact_matrix",
+    "convex_layers",
     "distances",
     "in_contact",
     "neighbors",
     "neighbors_and_visible",
     "occluded",
+    "on_hull",
     "outside",
     "shadow",
+    "smallest_ring",
     "sole_occluder_counts",
     "visible",
 ]

@@ -25,7 +25,7 @@ from scipy.optimize import linear_sum_assignment
 
 from murmurate.errors import InputError
 
-__all__ = ["Match", "align", "canonical", "configuration", "distance", "lower_bound", "profile"]
+__all__ = ["Match", "align", "configuration", "distance", "lower_bound", "profile"]
 
 ROUNDING = 1e-14
 """Differences of overlaps that are only rounding, relative to the sum of all products."""
@@ -128,31 +128,6 @@ def _pair(first: Points, second: Points, scaling: bool) -> tuple[Any, Any]:
     if len(p) != len(q):
         raise InputError("second", f"{len(q)} robots", f"{len(p)} robots, as the first")
     return p, q
-
-
-def canonical(positions: Points, *, scaling: bool = True, reflection: bool = True, digits: int = 6) -> Points:
-    """Returns one configuration for all that are the same pattern: the same numbers up to rounding.
-
-    The centroid is the origin, the robots stand in the order of their coordinates, and one of them lies on the positive
-    x-axis: the one that puts the list of coordinates, rounded to `digits` decimals of the root mean square radius,
-    first in dictionary order.
-
-    Raises:
-        InputError: It is no configuration of finite numbers.
-    """
-    z = normalized(positions, scaling)
-    size = math.sqrt(np.mean(np.abs(z) ** 2)) or 1.0
-    images = (z, z.conj()) if reflection else (z,)
-    anchored = [image * (a.conjugate() / abs(a)) for image in images for a in image[np.abs(z) > 10.0**-digits * size]]
-    _, form = min((_sorted(turned, digits, size) for turned in anchored or [z]), key=lambda pair: pair[0])
-    return np.stack([form.real, form.imag], axis=1)
-
-
-def _sorted(z: Any, digits: int, size: float) -> tuple[list[tuple[float, float]], Any]:
-    """Orders robots by rounded coordinates; returns the rounded list and the robots in its order."""
-    rounded = np.round(np.stack([z.real, z.imag], axis=1) / size, digits) + 0.0
-    order = np.lexsort((rounded[:, 1], rounded[:, 0]))
-    return [(float(x), float(y)) for x, y in rounded[order]], z[order]
 
 
 class _Arc(NamedTuple):

@@ -15,8 +15,8 @@ from jaxtyping import Float
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
-from murmurate.analysis import on_hull
 from murmurate.errors import InputError, check_number
+from murmurate.geometry import on_hull
 from murmurate.plots.style import INK, INSIDE, LEFT, MUTED, TEXT, WIDTH, add_axes, draw_head, new_page
 from murmurate.plots.swarm import NIGHT, SwarmArtist, sight_pairs
 from murmurate.world import WorldConfig

@@ -23,9 +23,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from murmurate.errors import InputError, check_number
+from murmurate.geometry._batch_last import sum_terms
 from murmurate.policies.base import Policy, PolicyNetwork, check_hidden
 from murmurate.policies.features import pair_channels, point, robot_channels, surroundings
-from murmurate.policies.layers import Dense, Linear, bounded, fold
+from murmurate.policies.layers import Dense, Linear, bounded
 from murmurate.world.config import WorldConfig
 
 __all__ = ["EquivariantNetwork", "EquivariantPolicy", "EquivariantValue", "SharedPolicy", "ValueHead"]
@@ -101,7 +102,7 @@ class EquivariantNetwork(PolicyNetwork):
         mine, theirs = self.mine(nodes), self.theirs(nodes)
         g, h = self.head(jnp.tanh(self.pair(seen.pair) + mine[:, :, None] + theirs[:, None, :]))
         ahead, aside = (g * seen.ux - h * seen.uy, g * seen.uy + h * seen.ux)
-        vx, vy = fold(lambda i: (ahead[:, i], aside[:, i]), positions.shape[0])
+        vx, vy = sum_terms(lambda i: (ahead[:, i], aside[:, i]), positions.shape[0])
         if self.landmark:
             px, py, _ = point(-positions[:, 0], -positions[:, 1], self.basis, self.world.safe_distance)
             g, h = self.to_point(nodes)

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from murmurate.policies.layers import fold
+from murmurate.geometry._batch_last import sum_terms
 from murmurate.world.config import WorldConfig
 
 __all__ = [
@@ -169,7 +169,7 @@ def _shadows(ux: Array, uy: Array, distance: Array, radius: float) -> Float[Arra
         behind = jnp.where(cos < 0, bell, 0.0)
         return tuple(w * factor for w in (nearer, ahead - nearer, behind) for factor in (1.0, z))
 
-    return jnp.stack(fold(third, distance.shape[1]))
+    return jnp.stack(sum_terms(third, distance.shape[1]))
 
 
 def point(
@@ -244,7 +244,7 @@ def pair_and_robot_features(
     def seen(i: int) -> tuple[Array, Array, Array]:
         return radial[:, :, i], radial[:, :, i] * ux[:, i], radial[:, :, i] * uy[:, i]
 
-    crowd, sx, sy = (total * 0.25 for total in fold(seen, dx.shape[1]))
+    crowd, sx, sy = (total * 0.25 for total in sum_terms(seen, dx.shape[1]))
     if scale_free:
         crowd, sx, sy = (count_weights(others, basis) * total for total in (crowd, sx, sy))
     # The direction to i along and across the mean direction of the robots in each range of distances, two basis

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -10,30 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
-__all__ = ["Dense", "Linear", "Tanh", "bounded", "fold"]
-
-
-MAX_UNROLLED = 10
-"""Terms that are written out; more would take long to compile."""
-
-
-def fold(term: Callable[[int], tuple[Array, ...]], count: int) -> tuple[Array, ...]:
-    """Sums the terms 0 .. count - 1, each a tuple of arrays, by adding whole arrays one after another.
-
-    XLA's CPU backend does not vectorise a reduction over a middle axis once its operand is fused into it; adding the
-    slices, which it does vectorise along the batch, is about five times faster for a swarm of ten.
-
-    Where the number of terms is not known yet, as in a program for swarms of any size, one reduction takes them all.
-    """
-    if not isinstance(count, int):
-        terms = jax.vmap(term)(jax.lax.iota(jnp.int32, count))
-        return jax.tree.map(lambda each: jnp.sum(each, axis=0), terms)
-    if count > MAX_UNROLLED:
-        return jax.lax.fori_loop(1, count, lambda i, total: jax.tree.map(jnp.add, total, term(i)), term(0))
-    total = term(0)
-    for index in range(1, count):
-        total = tuple(a + b for a, b in zip(total, term(index), strict=True))
-    return total
+__all__ = ["Dense", "Linear", "Tanh", "bounded"]
 
 
 def bounded(

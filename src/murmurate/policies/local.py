@@ -25,6 +25,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from murmurate.geometry._batch_last import sum_terms
 from murmurate.policies.base import Policy, PolicyNetwork
 from murmurate.policies.equivariant import SharedPolicy, ValueHead
 from murmurate.policies.features import (
@@ -38,7 +39,7 @@ from murmurate.policies.features import (
     surroundings,
 )
 from murmurate.policies.hull import CORNER_CHANNELS, EDGE_CHANNELS, hull
-from murmurate.policies.layers import Dense, Linear, bounded, fold
+from murmurate.policies.layers import Dense, Linear, bounded
 from murmurate.policies.shield import limit_wall_approach
 from murmurate.types import Observation
 from murmurate.world.config import WorldConfig
@@ -131,7 +132,7 @@ class LocalNetwork(PolicyNetwork):
         share = 1 / jnp.maximum(jnp.sum(seen, axis=1), 1)[:, None].astype(weight.dtype)
         g, h = weight * g + share * far_g, weight * h + share * far_h
         ahead, aside = (g * around.ux - h * around.uy, g * around.uy + h * around.ux)
-        vx, vy = fold(lambda i: (ahead[:, i], aside[:, i]), seen.shape[1])
+        vx, vy = sum_terms(lambda i: (ahead[:, i], aside[:, i]), seen.shape[1])
         return vx, vy
 
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import importlib
 import itertools
 import re
 import shutil
@@ -27,7 +26,8 @@ from murmurate.discovery import Trajectories, bound_steps, build_cascade, check_
 from murmurate.errors import InputError, RunError, check_choice, check_number
 from murmurate.geometry import neighbors_and_visible
 from murmurate.policies import LocalPolicy
-from murmurate.policies.baselines import BASELINES
+from murmurate.policies.baselines import Baseline
+from murmurate.registry import Importer
 from murmurate.runs import config_io, files
 from murmurate.runs.evaluate import wilson
 from murmurate.runs.execute import Executor, InProcess, locked, run_jobs
@@ -151,29 +151,19 @@ class Comparison:
 
 def is_baseline(method: str) -> bool:
     """Returns whether a method is a baseline, of this package or of one's own, rather than a run."""
-    return method in BASELINES or ":" in method
+    return method in Baseline.registered() or ":" in method
 
 
-def find_baseline(method: str) -> Any:
+def find_baseline(method: str) -> type[Baseline]:
     """Returns the class of a baseline.
 
     Args:
-        method: Its name, or "module:Class".
+        method: Its registered name, or "module:Class", importable from the working folder or the Python path.
 
     Raises:
-        InputError: There is no such class, or it cannot be imported.
+        InputError: There is no such class, it is no `Baseline`, or it cannot be imported.
     """
-    if method in BASELINES:
-        return BASELINES[method]
-    module, _, name = method.partition(":")
-    try:
-        baseline = getattr(importlib.import_module(module), name)
-    except Exception as error:  # a user's module may raise anything
-        allowed = f"a baseline that can be imported as module:Class ({type(error).__name__}: {error})"
-        raise InputError("method", method, allowed) from None
-    if not (callable(baseline) and hasattr(baseline, "centralised")):
-        raise InputError("method", method, "the class of a baseline, with the field centralised")
-    return baseline
+    return Importer((Path.cwd(),)).find(Baseline, method, "method")
 
 
 def conditions(
@@ -364,7 +354,7 @@ def sorted_rows(folder: str | Path) -> list[dict[str, Any]]:
         RunError: They are missing or damaged.
     """
     names = {name: index for index, name in enumerate((RANDOM, *get_args(Family), *SENSINGS, *SCHEDULERS))}
-    baselines = {name: index for index, name in enumerate(BASELINES, start=1)}
+    baselines = {name: index for index, name in enumerate(Baseline.registered(), start=1)}
 
     def key(row: dict[str, Any]) -> tuple[Any, ...]:
         method = baselines.get(row["method"], len(baselines) + 1 if is_baseline(row["method"]) else 0)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
-from murmurate.analysis import convex_layers, symmetry, visibility_margin
+from murmurate.analysis import symmetry, visibility_margin
 from murmurate.analysis.optimum.best_known import BestKnown
-from murmurate.analysis.optimum.bounds import PROVED, ring, upper_bound
+from murmurate.analysis.optimum.bounds import PROVED, upper_bound
+from murmurate.geometry import convex_layers, smallest_ring
 from murmurate.runs.table import NONE, Row
 
 __all__ = ["OPTIMA", "rows"]
@@ -21,7 +22,7 @@ def rows(entries: Iterable[BestKnown]) -> Iterator[Row]:
     """Yields a row for each entry, under the header `OPTIMA`."""
     for entry in entries:
         target = entry.target
-        circle = ring(entry.robots, entry.radius, entry.safe_distance).positions
+        circle = smallest_ring(entry.robots, entry.radius, entry.safe_distance).positions
         proved = (entry.objective, entry.robots) in PROVED
         yield (
             str(entry.robots),

@@ -12,7 +12,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, UInt32
+from jaxtyping import Array, Bool, Float, Int, Key, PRNGKeyArray, UInt32
 
 from murmurate.geometry import _batch_last
 from murmurate.types import Observation, Transition, View
@@ -313,7 +313,7 @@ class LocalObservation(Wrapper):
             return self._observed(after, keys), transition
         return ObservedState(after, state.frames, key_data(keys)), transition
 
-    def _observed(self, inner: Any, keys: PRNGKeyArray) -> ObservedState:
+    def _observed(self, inner: Any, keys: Key[Array, "*batch"]) -> ObservedState:
         frames = self.sensing.draw_frames(keys, inner.positions.shape[0], inner.positions.dtype)
         return ObservedState(inner, frames, key_data(next_keys(keys)))
 
@@ -388,7 +388,7 @@ class SchedulerWrapper(Wrapper):
                 )
         return eqx.tree_at(lambda s: s.key, after, key_data(next_keys(keys))), transition
 
-    def _scheduled(self, inner: Any, keys: PRNGKeyArray) -> ScheduledState:
+    def _scheduled(self, inner: Any, keys: Key[Array, "*batch"]) -> ScheduledState:
         positions = inner.positions
         zero = jnp.zeros((positions.shape[0], *positions.shape[2:]), jnp.int32)
         clock = Clock(inner.unwrapped.step, zero, positions)

@@ -10,14 +10,14 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PRNGKeyArray, UInt32
+from jaxtyping import Array, Float, Key, UInt32
 
 from murmurate import prng
 
 __all__ = ["draw_each", "episode_keys", "key_data", "next_keys", "wrap_keys"]
 
 
-def episode_keys(seed: Any, positions: Float[Array, "robots 2 *batch"]) -> PRNGKeyArray:
+def episode_keys(seed: Any, positions: Float[Array, "robots 2 *batch"]) -> Key[Array, "*batch"]:
     """Returns a key for the episode that begins at a configuration, or for each of a batch."""
     key = prng.key(seed)
     return jax.random.split(key, positions.shape[2:]) if positions.ndim > 2 else key
@@ -35,16 +35,16 @@ def draw_each(draw: Callable[..., Any], *arguments: Any) -> Any:
     return jax.vmap(draw, in_axes=(0, *[-1] * (len(arguments) - 1)), out_axes=-1)(*arguments)
 
 
-def next_keys(keys: PRNGKeyArray, number: int = 1) -> PRNGKeyArray:
+def next_keys(keys: Key[Array, "*batch"], number: int = 1) -> Key[Array, "*batch"]:
     """Returns other keys, so that what is drawn next, or for another purpose, is independent of what was drawn."""
     return jax.random.fold_in(keys, number) if keys.ndim == 0 else jax.vmap(jax.random.fold_in, (0, None))(keys, number)
 
 
-def key_data(keys: PRNGKeyArray) -> UInt32[Array, "two *batch"]:
+def key_data(keys: Key[Array, "*batch"]) -> UInt32[Array, "two *batch"]:
     """Returns the numbers of keys, as a state holds them."""
     return jnp.moveaxis(jax.random.key_data(keys), -1, 0)
 
 
-def wrap_keys(numbers: UInt32[Array, "two *batch"]) -> PRNGKeyArray:
+def wrap_keys(numbers: UInt32[Array, "two *batch"]) -> Key[Array, "*batch"]:
     """Returns the keys that have these numbers."""
     return prng.wrap(jnp.moveaxis(numbers, 0, -1))

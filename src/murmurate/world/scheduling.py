@@ -28,7 +28,7 @@ MAX_STEPS = 1000
 
 
 class Clock(eqx.Module):
-    """What a scheduler is told of one episode at one step.
+    """What a scheduler is told of one episode at one step; `activate` gets it without batch axes.
 
     Attributes:
         step: Steps since the episode began.
@@ -36,9 +36,9 @@ class Clock(eqx.Module):
         positions: Centres, world units.
     """
 
-    step: Int[Array, ""]
-    idle: Int[Array, " robots"]
-    positions: Float[Array, "robots 2"]
+    step: Int[Array, "*batch"]
+    idle: Int[Array, "robots *batch"]
+    positions: Float[Array, "robots 2 *batch"]
 
 
 class Activation(eqx.Module):

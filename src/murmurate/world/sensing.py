@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, PRNGKeyArray
+from jaxtyping import Array, Bool, Float, Key, PRNGKeyArray
 
 from murmurate import prng
 from murmurate.errors import InputError, check_number
@@ -95,7 +95,7 @@ class Sensing(Strategy):
     def perceived(self, configuration: Configuration) -> Bool[Array, "robots robots *batch"]:
         """Returns which robots (second axis) each robot (first axis) perceives; what the diagonal holds is ignored."""
 
-    def draw_frames(self, keys: PRNGKeyArray, robots: int, dtype: Any = jnp.float32) -> Frames:
+    def draw_frames(self, keys: Key[Array, "*batch"], robots: int, dtype: Any = jnp.float32) -> Frames:
         """Draws a frame for every robot.
 
         Args:
@@ -118,7 +118,7 @@ class Sensing(Strategy):
         return Frames(jnp.cos(angle), jnp.sin(angle), chirality, jnp.asarray(self.unit_ratio, dtype) ** exponent)
 
     def view(
-        self, positions: Float[Array, "robots 2 *batch"], frames: Frames, keys: PRNGKeyArray, world: WorldConfig
+        self, positions: Float[Array, "robots 2 *batch"], frames: Frames, keys: Key[Array, "*batch"], world: WorldConfig
     ) -> View:
         """Returns what every robot perceives of a configuration.
 
@@ -147,7 +147,7 @@ class Sensing(Strategy):
             walls=nearest_wall_points(positions, frames, world) if self.walls else None,
         )
 
-    def _with_noise(self, dx: Array, dy: Array, seen: Array, keys: PRNGKeyArray) -> tuple[Array, Array, Array]:
+    def _with_noise(self, dx: Array, dy: Array, seen: Array, keys: Key[Array, "*batch"]) -> tuple[Array, Array, Array]:
         """Adds noise and missed detections; draws nothing where there are none."""
         if not (self.miss_probability or self.bearing_noise or self.range_noise):
             return dx, dy, seen

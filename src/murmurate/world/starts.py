@@ -103,7 +103,7 @@ class JitteredStart(Start):
     """
 
     points: Float[Array, "layouts robots 2"]
-    noise: float = 0.0
+    noise: Any = 0.0
 
     def sample(self, key: PRNGKeyArray, batch: int, world: WorldConfig) -> Float[Array, "batch robots 2"]:
         """Draws configurations and adds noise U(-noise R, noise R) to every coordinate."""
@@ -223,12 +223,11 @@ class FileStart(LayoutStart):
 
     file: str = eqx.field(default="", static=True)
 
-    def __check_init__(self) -> None:
-        if not self.file:
-            raise InputError("file", self.file, "the name of a CSV file of starts")
-
     def layouts(self, world: WorldConfig) -> Float[np.ndarray, "layouts robots 2"]:
         """Reads the file and checks its configurations."""
+        # Not sooner: a start without a file has to exist for the command line to ask it for its fields.
+        if not self.file:
+            raise InputError("start.file", self.file, "the name of a CSV file of starts")
         points = read_starts(self.file, world.robots)
         check_configurations(points, world, self.file)
         return points

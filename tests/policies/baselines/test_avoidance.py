@@ -9,8 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from murmurate.geometry import _batch_last
-from murmurate.policies.baselines.avoidance import KEEP, avoiding
-from murmurate.policies.baselines.sight import everyone
+from murmurate.policies.baselines.avoidance import SAFETY_FACTOR, avoid_collisions, full_view
 from murmurate.world import WorldConfig
 
 WORLD = WorldConfig(robots=6)
@@ -18,7 +17,7 @@ WORLD = WorldConfig(robots=6)
 
 @jax.jit
 def avoided(positions, wanted):
-    return avoiding(wanted[:, 0], wanted[:, 1], everyone(positions), WORLD)
+    return avoid_collisions(wanted[:, 0], wanted[:, 1], full_view(positions), WORLD)
 
 
 def apart(seed, robots, spread, batch=64):
@@ -52,12 +51,12 @@ def test_a_crowd_does_not_collide_either(seed):
 def test_somebody_in_the_shadow_of_another_is_reckoned_with():
     """Robot 0 sees robot 1 and not robot 2, which is nearly as near: it goes no farther than it may towards either."""
     positions = np.array([[0.0, 0.0], [2.2, 0.0], [2.05, 2.2]], np.float32)[..., None]
-    seen = everyone(jnp.asarray(positions))
+    seen = full_view(jnp.asarray(positions))
     mask = np.ones((3, 3, 1), bool)
     mask[0, 2] = mask[2, 0] = False
     hidden = seen._replace(seen=seen.seen & mask, x=seen.x * mask, y=seen.y * mask)
     towards = positions[[2, 1, 0]] - positions
-    found = np.asarray(avoiding(towards[:, 0], towards[:, 1], hidden, WORLD), float)
+    found = np.asarray(avoid_collisions(towards[:, 0], towards[:, 1], hidden, WORLD), float)
     assert np.abs(found).max() > 0
     assert not _batch_last.any_contact(positions.astype(float), found, WORLD.radius).any()
 
@@ -73,7 +72,7 @@ def test_pairs_come_to_the_safe_distance_and_no_nearer():
     inwards = np.array([[1.0, 0.0], [-1.0, 0.0]], np.float32)[..., None]
     for _ in range(10):
         positions = positions + np.asarray(avoided(positions, inwards))
-    np.testing.assert_allclose(positions[1, 0] - positions[0, 0], KEEP * WORLD.safe_distance, atol=1e-3)
+    np.testing.assert_allclose(positions[1, 0] - positions[0, 0], SAFETY_FACTOR * WORLD.safe_distance, atol=1e-3)
     crowded = np.array([[0.0, 0.0], [3.0, 0.0]], np.float32)[..., None]
     apart = _batch_last.closest_approach(crowded, np.asarray(avoided(crowded, 0 * crowded)))[0, 1]
     assert apart == 3.0

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from murmurate.policies.baselines import BASELINES
+from murmurate.policies.baselines import Baseline
 from murmurate.world import Observation, Sensing, WorldConfig
 
 R, SCAN, SPEED = 1.0, 120.0, 1.0
@@ -17,7 +17,7 @@ LOCAL = ["random", *STEADY]
 
 
 def make(name, landmark=False, robots=6):
-    return BASELINES[name](WorldConfig(robots=robots), landmark)
+    return Baseline.registered()[name](WorldConfig(robots=robots), landmark)
 
 
 def configuration(seed=0, robots=6):
@@ -104,7 +104,7 @@ def test_who_perceives_a_wall_does_not_cross_it(name):
     assert kept.max() <= 45.0
 
 
-@pytest.mark.parametrize("name", BASELINES)
+@pytest.mark.parametrize("name", Baseline.registered())
 def test_only_the_centralised_one_looks_at_positions(name):
     policy = make(name)
     _, observation = observed(configuration(), use="visible")
@@ -116,7 +116,7 @@ def test_only_the_centralised_one_looks_at_positions(name):
 
 
 @pytest.mark.parametrize("landmark", [False, True])
-@pytest.mark.parametrize("name", BASELINES)
+@pytest.mark.parametrize("name", Baseline.registered())
 def test_speed_is_limited_and_nothing_is_undefined(name, landmark):
     """In one batch: spread out, crowded, on one line, all in one place, and two together with four out of sight."""
     policy = make(name, landmark)

@@ -8,10 +8,10 @@ import jax
 import numpy as np
 import pytest
 
-from murmurate.analysis.optimum.bounds import ring
 from murmurate.discovery import Cascade, RestRule, check_validity
-from murmurate.policies.baselines import BASELINES
-from murmurate.policies.baselines.circle import enclosing, least_ring
+from murmurate.geometry import smallest_ring
+from murmurate.policies.baselines import Baseline
+from murmurate.policies.baselines.circle import enclosing_circle, ring_radius
 from murmurate.world import (
     GlobalSensing,
     LocalObservation,
@@ -34,7 +34,7 @@ def anywhere():
 @functools.cache
 def ran(name, count=16, steps=200):
     world, starts = anywhere()
-    policy = BASELINES[name](CONFIG, False)
+    policy = Baseline.registered()[name](CONFIG, False)
     sensing = GlobalSensing() if policy.centralised else VisibleSensing(rotation=True)
     trajectories = Cascade((policy,), LocalObservation(world, sensing, CONFIG), RestRule(max_steps=steps)).rollout(
         starts[:count]
@@ -98,15 +98,15 @@ def test_two_colours_leave_nobody_inside():
 
 @pytest.mark.parametrize("robots", [2, 3, 5, 8, 12, 40])
 def test_the_least_ring_is_that_of_the_patterns(robots):
-    expected = ring(robots, CONFIG.radius, CONFIG.safe_distance)
-    np.testing.assert_allclose(least_ring(robots, CONFIG), expected.radius, rtol=1e-5)
+    expected = smallest_ring(robots, CONFIG.radius, CONFIG.safe_distance)
+    np.testing.assert_allclose(ring_radius(robots, CONFIG), expected.radius, rtol=1e-5)
 
 
 def test_the_enclosing_circle_is_the_smallest():
     points = np.random.default_rng(0).normal(size=(3, 7, 4)).astype(np.float32)
     x, y = points, points[::-1]
     member = np.ones(x.shape, bool)
-    cx, cy, radius = (np.asarray(a) for a in enclosing(x, y, member, (x.mean(axis=1), y.mean(axis=1))))
+    cx, cy, radius = (np.asarray(a) for a in enclosing_circle(x, y, member, (x.mean(axis=1), y.mean(axis=1))))
     away = np.hypot(x - cx[:, None], y - cy[:, None])
     np.testing.assert_allclose(away.max(axis=1), radius, rtol=1e-5)
     grid = np.linspace(-2, 2, 201)

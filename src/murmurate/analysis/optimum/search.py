@@ -17,11 +17,11 @@ from jaxtyping import Float
 from scipy.optimize import OptimizeResult, basinhopping
 
 from murmurate.analysis.optimum.annealing import AnnealingConfig, anneal
-from murmurate.analysis.optimum.bounds import ring
 from murmurate.analysis.optimum.formation import Target
 from murmurate.analysis.optimum.polish import polish
 from murmurate.errors import GREATEST, MOST, check_choice, check_number
 from murmurate.geometry import _batch_last, similarity
+from murmurate.geometry.rings import smallest_ring
 from murmurate.world import WorldConfig
 
 __all__ = ["Formation", "OptimumConfig", "annealed", "distinct", "hop", "search"]
@@ -172,7 +172,7 @@ def hop(config: OptimumConfig) -> Formation:
 
     found = basinhopping(
         lambda flat: -target.value(flat.reshape(shape)),
-        ring(world.robots, world.radius, world.safe_distance).positions.ravel(),
+        smallest_ring(world.robots, world.radius, world.safe_distance).positions.ravel(),
         niter=config.hops,
         T=0.01,
         take_step=displace,

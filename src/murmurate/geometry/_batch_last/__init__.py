@@ -17,6 +17,8 @@ from murmurate.geometry._batch_last.contact import (
     in_contact,
     outside,
 )
+from murmurate.geometry._batch_last.hull import hull_neighbors, on_hull
+from murmurate.geometry._batch_last.loops import sum_terms
 from murmurate.geometry._batch_last.visibility import (
     as_floating,
     fold,
@@ -36,11 +38,14 @@ __all__ = [
     "contact_matrix",
     "distances",
     "fold",
+    "hull_neighbors",
     "in_contact",
     "neighbors",
     "neighbors_and_visible",
     "occluded",
+    "on_hull",
     "outside",
     "sole_occluder_counts",
+    "sum_terms",
     "visible",
 ]

@@ -11,7 +11,7 @@ import operator
 
 from jaxtyping import Bool, Float
 
-from murmurate.geometry._batch_last.visibility import Array, as_floating, fold, off_diagonal, offsets
+from murmurate.geometry._batch_last.visibility import Array, Scalar, as_floating, fold, off_diagonal, offsets
 
 __all__ = [
     "any_contact",
@@ -31,7 +31,7 @@ def distances(positions: Float[Array, "robots 2 *batch"]) -> Float[Array, "robot
     return offsets(xp, positions)[2]
 
 
-def clearances(positions: Float[Array, "robots 2 *batch"], radius: float) -> Float[Array, "robots robots *batch"]:
+def clearances(positions: Float[Array, "robots 2 *batch"], radius: Scalar) -> Float[Array, "robots robots *batch"]:
     """Returns the gaps between the edges of the discs; inf on the diagonal."""
     xp, positions = as_floating(positions)
     distance = offsets(xp, positions)[2]
@@ -55,7 +55,7 @@ def closest_approach(
 
 
 def contact_matrix(
-    positions: Float[Array, "robots 2 *batch"], velocities: Float[Array, "robots 2 *batch"], radius: float
+    positions: Float[Array, "robots 2 *batch"], velocities: Float[Array, "robots 2 *batch"], radius: Scalar
 ) -> Bool[Array, "robots robots *batch"]:
     """Returns which pairs touch during one step (closest approach <= 2 R); False on the diagonal."""
     approach = closest_approach(positions, velocities)
@@ -64,14 +64,14 @@ def contact_matrix(
 
 
 def in_contact(
-    positions: Float[Array, "robots 2 *batch"], velocities: Float[Array, "robots 2 *batch"], radius: float
+    positions: Float[Array, "robots 2 *batch"], velocities: Float[Array, "robots 2 *batch"], radius: Scalar
 ) -> Bool[Array, "robots *batch"]:
     """Returns which robots touch another one during one step."""
     return fold(operator.or_, contact_matrix(positions, velocities, radius))
 
 
 def any_contact(
-    positions: Float[Array, "robots 2 *batch"], velocities: Float[Array, "robots 2 *batch"], radius: float
+    positions: Float[Array, "robots 2 *batch"], velocities: Float[Array, "robots 2 *batch"], radius: Scalar
 ) -> Bool[Array, "*batch"]:
     """Returns whether any two robots touch during one step."""
     touching = in_contact(positions, velocities, radius)
@@ -79,7 +79,7 @@ def any_contact(
 
 
 def outside(
-    positions: Float[Array, "robots 2 *batch"], half_width: float, half_height: float
+    positions: Float[Array, "robots 2 *batch"], half_width: Scalar, half_height: Scalar
 ) -> Bool[Array, "robots *batch"]:
     """Returns which centres are not inside |x| <= half_width, |y| <= half_height; a centre at NaN is outside."""
     xp, positions = as_floating(positions)
@@ -88,7 +88,7 @@ def outside(
 
 
 def any_outside(
-    positions: Float[Array, "robots 2 *batch"], half_width: float, half_height: float
+    positions: Float[Array, "robots 2 *batch"], half_width: Scalar, half_height: Scalar
 ) -> Bool[Array, "*batch"]:
     """Returns whether any robot is outside the world."""
     beyond = outside(positions, half_width, half_height)

@@ -8,7 +8,10 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["fori_loop", "is_traced", "map_chunks", "scatter", "set_row", "take", "while_loop"]
+__all__ = ["fori_loop", "is_traced", "map_chunks", "scatter", "set_row", "sum_terms", "take", "while_loop"]
+
+MAX_UNROLLED = 10
+"""Terms of a sum that are unrolled in a compiled program; more would take long to compile."""
 
 
 def is_traced(value: Any) -> bool:
@@ -71,6 +74,36 @@ def set_row(xp: Any, array: Any, index: Any, row: Any) -> Any:
         return array.at[index].set(row, mode="promise_in_bounds")
     array[index] = row
     return array
+
+
+def sum_terms(term: Callable[[int], tuple[Any, ...]], count: int) -> tuple[Any, ...]:
+    """Returns the sums of the terms 0 to count - 1, each a tuple of arrays, by adding whole arrays one after another.
+
+    XLA's CPU backend does not vectorise a reduction over a middle axis once its operand is fused into it. It does
+    vectorise the addition of slices along the batch, which is about five times faster for a swarm of ten.
+
+    Args:
+        term: Returns the arrays of one term.
+        count: Number of terms: an integer, or a symbol in a program for swarms of any size, whose terms are reduced at
+            once.
+    """
+    if not isinstance(count, int):
+        import jax
+
+        terms = jax.vmap(term)(jax.lax.iota("int32", count))
+        return tuple(array.sum(axis=0) for array in terms)
+    total = term(0)
+    if count > MAX_UNROLLED and not isinstance(total[0], np.ndarray):
+        from jax import lax
+
+        return lax.fori_loop(1, count, lambda i, sums: _add(sums, term(i)), total)
+    for index in range(1, count):
+        total = _add(total, term(index))
+    return total
+
+
+def _add(first: tuple[Any, ...], second: tuple[Any, ...]) -> tuple[Any, ...]:
+    return tuple(a + b for a, b in zip(first, second, strict=True))
 
 
 def scatter(xp: Any, operation: str, array: Any, rows: Any, values: Any) -> Any:

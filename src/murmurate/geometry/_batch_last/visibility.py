@@ -46,6 +46,7 @@ configuration the sweep is slower up to 170 robots, by less than half a millisec
 """
 
 Array = Any  # a NumPy or a JAX array: the kernels use only what both have
+Scalar = Any  # a number, or a traced array without axes
 
 
 def as_floating(positions: Any) -> tuple[Any, Any]:
@@ -88,14 +89,14 @@ def fold(combine: Callable[[Any, Any], Any], array: Any, axis: int = 0) -> Any:
     return functools.reduce(combine, (array[(*before, index)] for index in range(array.shape[axis])))
 
 
-def neighbors(positions: Float[Array, "robots 2 *batch"], scan_radius: float) -> Bool[Array, "robots robots *batch"]:
+def neighbors(positions: Float[Array, "robots 2 *batch"], scan_radius: Scalar) -> Bool[Array, "robots robots *batch"]:
     """Returns which robots (column) are neighbours of which (row); False on the diagonal."""
     xp, positions = as_floating(positions)
     _, _, distance = offsets(xp, positions)
     return (distance <= scan_radius) & off_diagonal(xp, distance)
 
 
-def occluded(positions: Float[Array, "robots 2 *batch"], radius: float) -> Bool[Array, "robots robots *batch"]:
+def occluded(positions: Float[Array, "robots 2 *batch"], radius: Scalar) -> Bool[Array, "robots robots *batch"]:
     """Returns which robots (column) are occluded from which (row) by any third robot; False on the diagonal."""
     xp, positions = as_floating(positions)
     dx, dy, distance = offsets(xp, positions)
@@ -103,14 +104,14 @@ def occluded(positions: Float[Array, "robots 2 *batch"], radius: float) -> Bool[
 
 
 def visible(
-    positions: Float[Array, "robots 2 *batch"], radius: float, scan_radius: float
+    positions: Float[Array, "robots 2 *batch"], radius: Scalar, scan_radius: Scalar
 ) -> Bool[Array, "robots robots *batch"]:
     """Returns which robots (column) are visible neighbours of which (row); False on the diagonal."""
     return neighbors_and_visible(positions, radius, scan_radius)[1]
 
 
 def neighbors_and_visible(
-    positions: Float[Array, "robots 2 *batch"], radius: float, scan_radius: float
+    positions: Float[Array, "robots 2 *batch"], radius: Scalar, scan_radius: Scalar
 ) -> tuple[Bool[Array, "robots robots *batch"], Bool[Array, "robots robots *batch"]]:
     """Returns `neighbors` and `visible` from one pass over the pairs."""
     xp, positions = as_floating(positions)
@@ -119,7 +120,7 @@ def neighbors_and_visible(
     return near, near & ~_occluded(xp, dx, dy, distance, radius)
 
 
-def angular_intervals(xp: Any, dx: Any, dy: Any, distance: Any, radius: float) -> AngularInterval:
+def angular_intervals(xp: Any, dx: Any, dy: Any, distance: Any, radius: Scalar) -> AngularInterval:
     """Returns the interval that each robot (column) covers in the view of each observer (row)."""
     safe = xp.where(distance > 0, distance, 1)
     sin = xp.where(distance > radius, radius / safe, 1)
@@ -128,7 +129,7 @@ def angular_intervals(xp: Any, dx: Any, dy: Any, distance: Any, radius: float) -
     return AngularInterval(dx / safe, dy / safe, sin, xp.sqrt((1 - sin) * (1 + sin)), apparent)
 
 
-def _occluded(xp: Any, dx: Any, dy: Any, distance: Any, radius: float) -> Any:
+def _occluded(xp: Any, dx: Any, dy: Any, distance: Any, radius: Scalar) -> Any:
     intervals, robots = angular_intervals(xp, dx, dy, distance, radius), distance.shape[0]
     # In a program for swarms of any size the number of robots is a symbol, over which no loop can be unrolled.
     if not isinstance(robots, int):
@@ -160,7 +161,7 @@ def _occlusion_by(xp: Any, intervals: AngularInterval) -> Callable[[Any], Any]:
 
 
 def sole_occluder_counts(
-    positions: Float[Array, "robots 2 *batch"], radius: float, scan_radius: float
+    positions: Float[Array, "robots 2 *batch"], radius: Scalar, scan_radius: Scalar
 ) -> Float[Array, "robots *batch"]:
     """Returns for each robot how many ordered pairs of neighbours it alone occludes from each other."""
     xp, positions = as_floating(positions)

@@ -1,66 +1,56 @@
-"""A regular ring: assigned by somebody who knows everything, or found by each robot from what it sees."""
+"""A regular ring: with places assigned centrally, or found by each robot from what it sees."""
 
 from __future__ import annotations
 
-import math
 from typing import Any, ClassVar
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 from scipy.optimize import linear_sum_assignment
 
-from murmurate.policies.baselines.avoidance import avoiding
-from murmurate.policies.baselines.sight import everyone, mean_of_seen, sight
+from murmurate.geometry.rings import smallest_ring_radius
+from murmurate.policies.baselines.avoidance import avoid_collisions, full_view, local_view, view_centroid
+from murmurate.policies.baselines.base import Baseline
 from murmurate.types import Observation
 from murmurate.world.config import WorldConfig
 
-__all__ = ["CentralCircle", "VisibleCircle", "enclosing", "least_ring"]
+__all__ = ["CentralCircle", "VisibleCircle", "enclosing_circle", "ring_radius"]
 
 SLACK = 1.08
-"""Radius of the ring, in radii of the smallest that will do: a ring need not be quite regular to be valid."""
+"""Radius of the ring, in radii of the smallest valid one: a ring that is not quite regular needs more room."""
 
 GAIN = 0.5
-"""Share of the way that is left to do in one step, where the speed limit allows."""
+"""Share of the remaining way that a robot moves in one step, where the speed limit allows."""
 
 ROTATIONS = 6
-"""Turns of the ring among which the centralised circle looks for the shortest ways."""
+"""Rotations of the ring among which the centralised circle searches for the shortest paths."""
 
 ENCLOSING_STEPS = 80
+"""Iterations of the search for the smallest enclosing circle."""
 
-MOST_HIDDEN = 1.5
-"""Robots that a robot takes to be there at most, for each that it sees."""
+MAX_CROWDING = 1.5
+"""Number of robots that a robot assumes to be there at most, for each robot that it sees."""
 
 
-def least_ring(count: Any, world: WorldConfig) -> Float[Array, "*shape"]:
-    """Returns the least radius of a regular ring on which all see each other and keep the safe distance, world units.
-
-    From one robot on a ring the next ones are theta = pi / N apart in view, and the first two are the nearest, so they
-    are the first to hide one another: when asin(R / (2 r sin theta)) + asin(R / (2 r sin 2 theta)) = theta. That is a
-    triangle with two sides in the ratio 1 / sin theta : 1 / sin 2 theta, which gives r.
+def ring_radius(count: Any, world: WorldConfig) -> Float[Array, "*shape"]:
+    """Returns the radius of the smallest valid ring of N robots in float32, world units.
 
     Args:
-        count: N, any number or array of them; fewer than two count as two.
-        world: The radius R and the safe distance.
+        count: N, a number or an array; fewer than two robots count as two.
+        world: Sizes of the world and its robots.
     """
-    count = jnp.asarray(count, jnp.float32)
-    theta = math.pi / jnp.maximum(count, 3.0)
-    first, second = jnp.sin(theta), jnp.sin(2 * theta)
-    third = jnp.sqrt(first**2 + second**2 + 2 * first * second * jnp.cos(theta))
-    clear = world.radius * third / (2 * first * second * first)
-    safe = world.safe_distance / (2 * first)
-    return jnp.where(count > 2, jnp.maximum(clear, safe), world.safe_distance / 2)
+    return smallest_ring_radius(jnp.asarray(count, jnp.float32), world.radius, world.safe_distance)
 
 
-def enclosing(
+def enclosing_circle(
     x: Float[Array, "groups points *batch"],
     y: Float[Array, "groups points *batch"],
     member: Bool[Array, "groups points *batch"],
     start: tuple[Array, Array],
 ) -> tuple[Array, Array, Array]:
-    """Finds the smallest enclosing circle of each group by Badoiu and Clarkson's iteration (2003).
+    """Returns the smallest enclosing circle of each group, by Badoiu and Clarkson's iteration (2003).
 
     Args:
         x: First coordinate of each point, world units.
@@ -69,14 +59,14 @@ def enclosing(
         start: Where the search begins, such as the centroid.
 
     Returns:
-        Coordinates of the centre and the radius, each `(groups, *batch)`.
+        Coordinates of the centre, and the radius, each `(groups, *batch)`.
     """
 
     def farthest(cx: Array, cy: Array) -> tuple[Array, Array, Array]:
         square = jnp.where(member, (x - cx[:, None]) ** 2 + (y - cy[:, None]) ** 2, -1.0)
         index = jnp.argmax(square, axis=1, keepdims=True)
-        fx, fy, most = (jnp.take_along_axis(a, index, axis=1)[:, 0] for a in (x, y, square))
-        return fx, fy, jnp.sqrt(jnp.maximum(most, 0.0))
+        fx, fy, largest = (jnp.take_along_axis(a, index, axis=1)[:, 0] for a in (x, y, square))
+        return fx, fy, jnp.sqrt(jnp.maximum(largest, 0.0))
 
     def step(index: int, center: tuple[Array, Array]) -> tuple[Array, Array]:
         fx, fy, _ = farthest(*center)
@@ -87,64 +77,21 @@ def enclosing(
     return cx, cy, farthest(cx, cy)[2]
 
 
-class VisibleCircle(eqx.Module):
-    """Moves onto the smallest circle around those seen, and along it to the middle between the next ones.
+@Baseline.register("circle-central")
+class CentralCircle(Baseline):
+    """Sends all robots to places on one regular ring, by the assignment with the least sum of squared path lengths.
 
-    The circle becomes the least ring for as many robots as are seen, or as would fit on it as densely as around this
-    one. With a landmark it is around that.
-    """
+    All robots set out and arrive together, as in CAPT (Turpin, Michael and Kumar, 2014): on paths so assigned, at such
+    speeds, robots that start far enough apart do not meet. The ring surrounds the centre of the smallest circle that
+    encloses all robots, or the gathering point, and is rotated so that paths are short.
 
-    title: ClassVar[str] = "Circle of those seen"
-    centralised: ClassVar[bool] = False
-    deviations: ClassVar[str] = ""
-    world: WorldConfig = eqx.field(static=True)
-    landmark: bool = eqx.field(static=True)
-
-    def __call__(self, observation: Observation) -> Float[Array, "robots 2 *batch"]:
-        """Returns velocities in each robot's own frame, world units per step."""
-        world = self.world
-        seen = sight(observation.view, world)
-        me = jnp.eye(seen.x.shape[0], dtype=bool).reshape(seen.x.shape[:2] + (1,) * (seen.x.ndim - 2))
-        cx, cy = seen.point_x, seen.point_y
-        if not self.landmark:
-            cx, cy, _ = enclosing(seen.x, seen.y, seen.seen | me, mean_of_seen(seen))
-        mine = jnp.sqrt(cx * cx + cy * cy + 1e-12)
-        ox, oy = -cx / mine, -cy / mine
-        after, before = _gaps(seen.x - cx[:, None], seen.y - cy[:, None], ox, oy, seen.seen)
-        count = jnp.sum(seen.seen, axis=1) + 1
-        # Who sees its two neighbours on a ring knows how many fit on it, even if they hide the rest.
-        crowd = jnp.minimum(4 * jnp.pi / jnp.maximum(after + before, 1e-3), MOST_HIDDEN * count)
-        radius = SLACK * least_ring(jnp.maximum(count, crowd), world)
-        outwards, along = GAIN * (radius - mine), GAIN * jnp.minimum(mine, radius) * (after - before) / 2
-        return avoiding(outwards * ox - along * oy, outwards * oy + along * ox, seen, world)
-
-
-def _gaps(x: Array, y: Array, ox: Array, oy: Array, seen: Array) -> tuple[Array, Array]:
-    """Angles from each robot to the next one seen, counter-clockwise and clockwise around the centre, radians."""
-    ox, oy = ox[:, None], oy[:, None]
-    angle = jnp.mod(jnp.arctan2(ox * y - oy * x, ox * x + oy * y), 2 * jnp.pi)
-    after = jnp.min(jnp.where(seen, angle, jnp.inf), axis=1)
-    before = jnp.min(jnp.where(seen, 2 * jnp.pi - angle, jnp.inf), axis=1)
-    alone = ~jnp.any(seen, axis=1)
-    return jnp.where(alone, 0.0, after), jnp.where(alone, 0.0, before)
-
-
-class CentralCircle(eqx.Module):
-    """Sends all robots to places on one regular ring, by the assignment with the least sum of squared ways.
-
-    All set out and arrive together, as in CAPT (Turpin, Michael and Kumar, 2014): on ways so assigned, at such speeds,
-    robots that start far enough apart do not meet. The ring is around the middle of the smallest circle that encloses
-    all, or around the gathering point, turned so that ways are short.
-
-    It looks at the positions of all robots, and what it returns is in the world's frame: it needs robots whose own
-    frames are the world's, and it is for the caller to give it no others.
+    It uses the positions of all robots, and its velocities are in the world's frame: the robots' own frames must be
+    the world's.
     """
 
     title: ClassVar[str] = "Assigned circle"
     centralised: ClassVar[bool] = True
-    deviations: ClassVar[str] = "Centralised: it knows where everybody is in a common frame, and assigns places."
-    world: WorldConfig = eqx.field(static=True)
-    landmark: bool = eqx.field(static=True)
+    deviations: ClassVar[str] = "Centralised: it knows all positions in a common frame, and assigns places."
 
     def __call__(self, observation: Observation) -> Float[Array, "robots 2 *batch"]:
         """Returns velocities in the world's frame, world units per step."""
@@ -153,30 +100,30 @@ class CentralCircle(eqx.Module):
         center = jnp.zeros((1, *positions.shape[1:]), positions.dtype)
         if not self.landmark:
             x, y = positions[None, :, 0], positions[None, :, 1]
-            cx, cy, _ = enclosing(x, y, jnp.ones(x.shape, bool), (jnp.mean(x, axis=1), jnp.mean(y, axis=1)))
+            cx, cy, _ = enclosing_circle(x, y, jnp.ones(x.shape, bool), (jnp.mean(x, axis=1), jnp.mean(y, axis=1)))
             center = jnp.concatenate([cx, cy])[None]
-        radius = SLACK * least_ring(robots, world)
+        radius = SLACK * ring_radius(robots, world)
         shape = jax.ShapeDtypeStruct(positions.shape, positions.dtype)
-        places = jax.pure_callback(_assigned, shape, positions - center, radius) + center
-        way = places - positions
-        longest = jnp.max(jnp.sqrt(jnp.sum(way**2, axis=1)), axis=0)
-        way = way / jnp.maximum(longest / world.max_speed, 1 / GAIN)
-        return avoiding(way[:, 0], way[:, 1], everyone(positions), world)
+        places = jax.pure_callback(_assign_places, shape, positions - center, radius) + center
+        path = places - positions
+        longest = jnp.max(jnp.sqrt(jnp.sum(path**2, axis=1)), axis=0)
+        velocity = path / jnp.maximum(longest / world.max_speed, 1 / GAIN)
+        return avoid_collisions(velocity[:, 0], velocity[:, 1], full_view(positions), world)
 
 
-def _assigned(
+def _assign_places(
     positions: Float[np.ndarray, "robots 2 *batch"], radius: Float[np.ndarray, ""]
 ) -> Float[np.ndarray, "robots 2 *batch"]:
     """Returns each robot's place on a ring around the origin."""
-    given = np.asarray(positions)
-    points = given.astype(float)
+    array = np.asarray(positions)
+    points = array.astype(float)
     z = (points[:, 0] + 1j * points[:, 1]).reshape(len(points), -1)
     places = np.stack([_ring_places(column, float(radius)) for column in z.T], axis=1)
-    return np.stack([np.real(places), np.imag(places)], axis=1).reshape(given.shape).astype(given.dtype)
+    return np.stack([np.real(places), np.imag(places)], axis=1).reshape(array.shape).astype(array.dtype)
 
 
 def _ring_places(z: np.ndarray, radius: float) -> np.ndarray:
-    """Tries some turns of the ring, each turned on to where its own assignment is best, and takes the best of all."""
+    """Returns the best assignment among some rotations of the ring, each rotated on to where its assignment is best."""
     robots = len(z)
     ring = radius * np.exp(2j * np.pi * np.arange(robots) / robots)
     best, least = ring, np.inf
@@ -184,7 +131,47 @@ def _ring_places(z: np.ndarray, radius: float) -> np.ndarray:
         _, order = linear_sum_assignment(-(z[:, None] * (turn * ring).conj()[None]).real)
         overlap = np.sum(z * ring[order].conj())
         places = ring[order] * (overlap / abs(overlap) if abs(overlap) > 0 else turn)
-        ways = float(np.sum(np.abs(places - z) ** 2))
-        if ways < least:
-            best, least = places, ways
+        squares = float(np.sum(np.abs(places - z) ** 2))
+        if squares < least:
+            best, least = places, squares
     return best
+
+
+@Baseline.register("circle")
+class VisibleCircle(Baseline):
+    """Moves onto the smallest circle around the robots seen, and along it to the middle between its neighbours.
+
+    The circle shrinks or grows to the smallest valid ring of as many robots as are seen, or as would fit on it as
+    densely as around this robot. With a landmark it surrounds the landmark.
+    """
+
+    title: ClassVar[str] = "Circle of those seen"
+
+    def __call__(self, observation: Observation) -> Float[Array, "robots 2 *batch"]:
+        """Returns velocities in each robot's own frame, world units per step."""
+        world = self.world
+        view = local_view(observation.view, world)
+        itself = jnp.eye(view.x.shape[0], dtype=bool).reshape(view.x.shape[:2] + (1,) * (view.x.ndim - 2))
+        cx, cy = view.landmark_x, view.landmark_y
+        if not self.landmark:
+            cx, cy, _ = enclosing_circle(view.x, view.y, view.seen | itself, view_centroid(view))
+        distance = jnp.sqrt(cx * cx + cy * cy + 1e-12)
+        # The unit vector outwards, from the centre to the robot.
+        ox, oy = -cx / distance, -cy / distance
+        after, before = _gaps(view.x - cx[:, None], view.y - cy[:, None], ox, oy, view.seen)
+        count = jnp.sum(view.seen, axis=1) + 1
+        # A robot that sees its two neighbours on a ring knows how many robots fit on it, even if they hide the rest.
+        crowd = jnp.minimum(4 * jnp.pi / jnp.maximum(after + before, 1e-3), MAX_CROWDING * count)
+        radius = SLACK * ring_radius(jnp.maximum(count, crowd), world)
+        outwards, along = GAIN * (radius - distance), GAIN * jnp.minimum(distance, radius) * (after - before) / 2
+        return avoid_collisions(outwards * ox - along * oy, outwards * oy + along * ox, view, world)
+
+
+def _gaps(x: Array, y: Array, ox: Array, oy: Array, seen: Array) -> tuple[Array, Array]:
+    """Returns the angles from each robot to the next one around the centre, in either sense of rotation, radians."""
+    ox, oy = ox[:, None], oy[:, None]
+    angle = jnp.mod(jnp.arctan2(ox * y - oy * x, ox * x + oy * y), 2 * jnp.pi)
+    after = jnp.min(jnp.where(seen, angle, jnp.inf), axis=1)
+    before = jnp.min(jnp.where(seen, 2 * jnp.pi - angle, jnp.inf), axis=1)
+    alone = ~jnp.any(seen, axis=1)
+    return jnp.where(alone, 0.0, after), jnp.where(alone, 0.0, before)

@@ -1,4 +1,4 @@
-"""Sums over robots, written out for few and looped over for many."""
+"""Sums over robots, unrolled for few robots and looped for many."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from murmurate.policies.layers import MAX_UNROLLED, fold
+from murmurate.geometry._batch_last.loops import MAX_UNROLLED, sum_terms
 
 TERMS = np.random.default_rng(0).normal(size=(MAX_UNROLLED + 5, 3))
 
 
 @pytest.mark.parametrize("count", [1, 2, MAX_UNROLLED, MAX_UNROLLED + 1, MAX_UNROLLED + 5])
-def test_a_fold_sums_as_many_terms_as_it_is_told_and_has_a_gradient(count):
+def test_all_terms_are_summed_and_have_a_gradient(count):
     def total(terms):
-        first, second = fold(lambda i: (terms[i], terms[i] ** 2), count)
+        first, second = sum_terms(lambda i: (terms[i], terms[i] ** 2), count)
         return first.sum() + second.sum()
 
     terms = jnp.asarray(TERMS, jnp.float32)

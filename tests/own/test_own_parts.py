@@ -1,0 +1,235 @@
+"""Parts of a user's own go through every verb, from TOML and from Python, like those of the package."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import murmurate
+from murmurate.cli.main import main
+from murmurate.errors import InputError, RunError
+from murmurate.runs import presets
+
+HERE = Path(__file__).parent
+POLICIES = ("0-base.safetensors", "1-auxiliary.safetensors")
+
+
+@pytest.fixture(scope="module")
+def experiment(tmp_path_factory):
+    """A folder with the experiment's TOML file and its module."""
+    folder = tmp_path_factory.mktemp("experiment")
+    for name in ("mine.py", "experiment.toml"):
+        shutil.copy(HERE / name, folder / name)
+    return folder / "experiment.toml"
+
+
+@pytest.fixture(scope="module")
+def run(experiment):
+    """The folder of the finished run."""
+    folder = experiment.parent / "run"
+    assert main(["discover", str(experiment), "--out", str(folder), "--quiet"]) in (0, 3)
+    return folder
+
+
+def weights(folder):
+    return [(folder / "policies" / name).read_bytes() for name in POLICIES]
+
+
+def in_another_process(*words, **options):
+    command = [sys.executable, "-m", "murmurate", *map(str, words)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False, **options)
+
+
+def test_what_was_trained_is_of_ones_own(run):
+    opened = murmurate.load(run, trust=True)
+    names = {"start": "mine:Rings", "policy": "mine:Linear", "scheduler": "mine:RoundRobin"}
+    assert {part: getattr(opened.experiment, part).name for part in names} == names
+    assert opened.experiment.signals["calm"].name == "mine:Calm"
+    assert opened.experiment.weights(0)["calm"] == 0.7
+    assert opened.experiment.weights(1)["calm"] == 0.5
+    trajectories = opened.rollout(4, key=1)
+    assert list(trajectories.signals) == ["nclose", "safety", "neighbors", "visible", "calm"]
+    # One robot after another.
+    moved = (np.diff(trajectories.positions[0, :10], axis=0) != 0).any(axis=2)
+    assert (moved.sum(axis=1) <= 1).all()
+
+
+def test_signals_of_ones_own_are_measured_weighed_and_required(run):
+    evaluation = json.loads((run / "evaluation.json").read_text())
+    row = json.loads((run / "metrics.jsonl").read_text().splitlines()[0])
+    assert 0 < evaluation["signal"]["calm"] < 1
+    assert 0 < row["signals"]["calm"] < 1
+    total = sum(value for name, value in evaluation["signal"].items() if name not in ("total", "calm"))
+    assert evaluation["signal"]["total"] == pytest.approx(total + 0.5 * evaluation["signal"]["calm"], abs=1e-5)
+    assert evaluation["gap"] is None
+
+
+def test_killed_in_the_middle_it_goes_on_to_the_same_weights(experiment, run, tmp_path):
+    folder = tmp_path / "killed"
+    command = [sys.executable, "-m", "murmurate", "discover", str(experiment), "--out", str(folder)]
+    training = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        deadline = time.monotonic() + 240
+        while not (folder / "checkpoint").exists() and time.monotonic() < deadline and training.poll() is None:
+            time.sleep(0.01)
+    finally:
+        os.kill(training.pid, signal.SIGKILL)
+        training.wait()
+    assert (folder / "checkpoint").exists()
+    assert not (folder / "manifest.json").exists()
+    ended = in_another_process("discover", experiment, "--out", folder, "--resume", "--quiet")
+    assert ended.returncode in (0, 3), ended.stderr
+    assert weights(folder) == weights(run)
+
+
+def test_every_verb_takes_it_when_it_is_trusted(run, tmp_path, capsys):
+    copy = shutil.copytree(run, tmp_path / "run")
+    for words in (
+        ["evaluate", copy, "--episodes", 8, "--trust"],
+        ["show", copy, "--trust", "--out", tmp_path / "figures"],
+        ["table", copy, "--trust"],
+    ):
+        assert main([str(word) for word in words]) == 0, words
+    status = main(["catalogue", str(copy), "--trust", "--out", str(tmp_path / "catalogue")])
+    assert status == (0 if json.loads((copy / "evaluation.json").read_text())["valid"] else 2)
+    assert (tmp_path / "figures" / "discovery.png").stat().st_size > 1000
+    capsys.readouterr()
+
+
+def test_a_stranger_s_run_imports_nothing(run, tmp_path):
+    copy = shutil.copytree(run, tmp_path / "run")
+    for verb in ("evaluate", "show", "table", "catalogue", "export"):
+        words = [verb, copy, *(["--onnx"] if verb == "export" else [])]
+        ended = in_another_process(*words, cwd=tmp_path)
+        assert ended.returncode == 2, verb
+        assert len(ended.stderr.splitlines()) == 1, ended.stderr
+        assert "trust" in ended.stderr, ended.stderr
+
+
+def test_a_sweep_trains_it_in_processes_of_their_own(experiment, run, tmp_path):
+    (tmp_path / "sweep.toml").write_text(f'experiments = ["{experiment}"]\nseeds = [0, 1]\n')
+    ended = in_another_process("sweep", tmp_path / "sweep.toml", "--out", tmp_path / "out", "--workers", 1, "--quiet")
+    assert ended.returncode == 0, ended.stderr + ended.stdout
+    folders = sorted(path for path in (tmp_path / "out").iterdir() if (path / "manifest.json").exists())
+    assert len(folders) == 2
+    assert weights(run) in [weights(folder) for folder in folders]
+
+
+def test_the_same_from_python(experiment, run, tmp_path):
+    opened = murmurate.discover(experiment, out=tmp_path / "run")
+    assert weights(tmp_path / "run") == weights(run)
+    # The classes are those that the experiment's TOML file has imported.
+    signal_class, start = type(opened.experiment.signals["calm"]), type(opened.experiment.start)
+    config = murmurate.experiment(experiment, start=start(gap=5.0), signals={"calm": signal_class(3.0, weight=0.25)})
+    assert config.start.gap == 5.0
+    assert config.objective_signals["calm"].weight == 0.25
+    assert "\n" not in repr(config) + repr(opened) + repr(config.start)
+
+
+def test_flags_reach_the_fields_of_ones_own_classes(experiment, tmp_path, capsys):
+    assert main(["discover", str(experiment), "--help"]) == 0
+    text = capsys.readouterr().out
+    assert "--start.gap" in text
+    assert "Radius of the inner ring" in text
+    status = main(["discover", str(experiment), "--out", str(tmp_path / "x"), "--start.gab", "3"])
+    assert status == 2
+    assert "did you mean --start.gap" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("field", "use", "message"),
+    [
+        ("signals.calm", "nowhere:Calm", "that can be imported (ModuleNotFoundError"),
+        ("signals.calm", "mine:Kalm", "that can be imported (AttributeError"),
+        ("signals.calm", "mine:Rings", "this is no subclass of it"),
+        ("signals.calm", "mine:not_a_class", "this is no subclass of it"),
+        ("signals.calm", "mine:Abstract", "this one lacks __call__"),
+        ("signals.calm", "mine:Flat", "__call__ returns float[3, 2] for 2 configurations, not float32[2]"),
+        ("signals.calm", "mine:Undefined", "__call__ returns finite numbers"),
+        ("signals.calm", "mine:Broken", "AttributeError: 'Configuration' object has no attribute 'colours'"),
+        ("signals.calm", "mine:Listed", "a type that a configuration can hold"),
+        ("start", "mine:Crowd", "few enough to fit the mine:Crowd start"),
+        (
+            "start",
+            "rings",
+            'one of scattered, distributed, packed, file, random, symmetric, mixture, or "module:Class"',
+        ),
+    ],
+)
+def test_a_wrong_part_is_one_line_and_nothing_is_written(experiment, tmp_path, capsys, field, use, message):
+    folder = tmp_path / "run"
+    status = main(["discover", str(experiment), "--out", str(folder), f"--{field}.use", use])
+    line = capsys.readouterr().err.strip()
+    assert status == 2, line
+    assert message in line
+    assert len(line.splitlines()) == 1
+    assert not folder.exists()
+
+
+def test_unknown_fields_are_refused(experiment):
+    with pytest.raises(
+        InputError, match=r"^start.gab = 3.0: must be a field of \[start\] \(use, gap\); did you mean gap"
+    ):
+        presets.resolve(experiment, {"start": {"gab": 3.0}})
+    with pytest.raises(InputError, match=r"^valid.clam = 0.5: must be for a signal of the objective"):
+        presets.resolve(experiment, {"valid": {"clam": 0.5}})
+    with pytest.raises(InputError, match=r"^base.weights.clam = 0.5"):
+        presets.resolve(experiment, {"base": {"weights": {"clam": 0.5}}})
+
+
+def test_a_registered_name_belongs_to_one_class(experiment):
+    presets.resolve(experiment)
+
+    @murmurate.Signal.register("only-once")
+    class First(murmurate.Signal):
+        def __call__(self, configuration):
+            return configuration.positions[:, 0]
+
+    with pytest.raises(InputError, match=r"^signals = 'only-once': must be a new name: .*First is registered under it"):
+
+        @murmurate.Signal.register("only-once")
+        class Second(murmurate.Signal):
+            def __call__(self, configuration):
+                return configuration.positions[:, 1]
+
+    assert murmurate.experiment("F", signals={"once": "only-once"}).objective_signals["once"] == First()
+
+
+def test_a_training_that_diverges_stops_with_the_update_named(experiment, tmp_path, capsys):
+    words = ["--signals.calm.use", "mine:Exploding", "--scheduler.use", "fsync", "--base.ppo.updates", "40"]
+    status = main(["discover", str(experiment), "--out", str(tmp_path / "run"), "--quiet", *words])
+    line = capsys.readouterr().err.strip()
+    assert status == 2
+    assert len(line.splitlines()) == 1
+    assert "update" in line
+
+
+def test_other_sensing_and_shields(tmp_path):
+    """From Python, with classes of the interactive session: they act, and the run is not opened without trust."""
+    from own.mine import Half, Nearest
+    from tiny import tiny
+
+    config = tiny(policy={"use": "local", "hidden": [8, 4]}, sensing={"use": "visible"})
+    run = murmurate.discover(config, out=tmp_path / "run", sensing=Nearest(rotation=True), shield=Half(0.25))
+    view = run.cascade.env.env.observe(run.cascade.env.state(np.moveaxis(run.starts(2), 0, -1))).view
+    assert (np.asarray(view.seen).sum(axis=1) == 1).all()
+    moved = np.abs(np.diff(run.rollout(4).positions, axis=1)).max()
+    assert 0 < moved <= 0.25 * config.world.max_speed * 2**0.5
+    with pytest.raises(RunError, match="trust"):
+        in_fresh_interpreter(tmp_path / "run")
+
+
+def in_fresh_interpreter(folder):
+    code = f"import murmurate; murmurate.load({str(folder)!r})"
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False)
+    if ended.returncode:
+        raise RunError(ended.stderr.splitlines()[-1])
