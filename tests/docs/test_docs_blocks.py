@@ -27,6 +27,7 @@ def test_every_block_does_what_it_says(page, finished, tmp_path, monkeypatch, ca
     if page != "start.md":  # whose reader makes both
         copy_run(finished, tmp_path)
     monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)  # as Python has it in the folder of a reader's modules
     reader = Reader(page, tmp_path)
     reader.read()
     EXPECTED.get(page, lambda scope: None)(reader.scope)
