@@ -25,7 +25,7 @@ extensions = [
 ]
 exclude_patterns = ["comparison/**.md"]  # `make compare` puts what they say into results.md and point.md
 
-# Formulas: `$...$` and `$$...$$`, as Markdown viewers have them. MathJax comes with a package and is copied into the site.
+# Formulas: `$...$` and `$$...$$`, as Markdown viewers have them. MathJax comes with a package, copied into the site.
 myst_enable_extensions = ["dollarmath", "amsmath"]
 
 # Headings get the anchors that Markdown viewers give them, so that one link serves both.
