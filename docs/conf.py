@@ -16,10 +16,16 @@ typing.GENERATING_DOCUMENTATION = "murmurate"
 project = "murmurate"
 release = version = murmurate.__version__
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.mathjax", "sphinx-mathjax-offline"]
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "sphinx.ext.mathjax",
+    "sphinx-mathjax-offline",
+]
 exclude_patterns = ["comparison/**.md"]  # `make compare` puts what they say into results.md and point.md
 
-# Formulas: `$...$` and `$$...$$`, as Markdown viewers have them. MathJax comes with a package and is copied into the site.
+# Formulas: `$...$` and `$$...$$`, as Markdown viewers have them. MathJax comes with a package, copied into the site.
 myst_enable_extensions = ["dollarmath", "amsmath"]
 
 # Headings get the anchors that Markdown viewers give them, so that one link serves both.

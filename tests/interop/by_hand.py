@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from murmurate.world import UniformStart, World, WorldConfig
+from murmurate.world import UniformStart, World, WorldConfig, with_array_leaves
 
 SIZES = {"half_width": 12.0, "half_height": 10.0, "scan_radius": 9.0, "safe_distance": 4.0, "max_speed": 0.5}
 CONFIG = WorldConfig(robots=3, **SIZES)
@@ -18,8 +18,8 @@ state_of = jax.jit(World.state)
 signals_of = jax.jit(World.signals)
 
 
-def world(objective="C1", horizon=400, by_robot=False):
-    return jax.tree.map(jnp.asarray, World.create(CONFIG, UniformStart(), objective, None, horizon, by_robot))
+def world(objective="C1", horizon=400, per_robot_credit=False):
+    return with_array_leaves(World.create(CONFIG, UniformStart(), objective, None, horizon, per_robot_credit))
 
 
 def played(world, positions, velocities):

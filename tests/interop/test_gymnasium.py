@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
-
 import gymnasium
 import numpy as np
 import pytest
@@ -90,7 +88,6 @@ def test_rendering_without_a_mode_is_warned_of():
 
 
 def test_registering_again_is_silent():
-    importlib.reload(adapter)
     adapter.register()
     assert gymnasium.make(f"murmurate.interop.gymnasium:{adapter.ENV_ID}", **SWARM).observation_space.shape == (3, 2)
 
@@ -268,7 +265,7 @@ def test_starts_are_chosen_by_name_or_in_full():
         ({"radius": -1.0}, "radius", "> 0"),
         ({"objective": "C3"}, "objective", "C1, C2"),
         ({"start": "anywhere"}, "start", "random"),
-        ({"start": "file"}, "start", "random"),
+        ({"start": "file"}, "start.file", "CSV file"),
         ({"weights": 3}, "weights", "a mapping"),
         ({"horizon": 0}, "horizon", ">= 1"),
         ({"observations": "pixels"}, "observations", "sensing"),

@@ -35,9 +35,9 @@ pytestmark = pytest.mark.filterwarnings("ignore:::(jax2onnx|onnx|onnx_ir|flax|or
 def untrained(kind, policies=2, objective="C2", seed=0, factor=1, walls=False):
     """A run whose policies nobody trained, but which do move, faster by a factor."""
     world = {"robots": ROBOTS, "half_width": 30.0, "half_height": 25.0, "scan_radius": 100.0}
-    hidden = {"policy": {"kind": kind, "hidden": [12, 8]}, "rest": REST, "seed": seed}
-    eyes = {"sensing": {"kind": "visible", "rotation": True, "walls": walls}} if kind == "local" else {}
-    config = presets.resolve("F", {"objective": objective, "world": world, "start": {"kind": "random"}}, hidden, eyes)
+    hidden = {"policy": {"use": kind, "hidden": [12, 8]}, "rest": REST, "seed": seed}
+    eyes = {"sensing": {"use": "visible", "rotation": True, "walls": walls}} if kind == "local" else {}
+    config = presets.resolve("F", {"objective": objective, "world": world, "start": {"use": "random"}}, hidden, eyes)
     chosen = [build_networks(config, draw_key(config, index, "networks"))[0] for index in range(policies)]
     return Run(Path("untrained"), config, build_cascade(config, [_louder(policy, factor) for policy in chosen]), {})
 
@@ -124,7 +124,7 @@ def test_a_robot_with_its_own_eyes_moves_by_its_model_as_in_the_world(objective,
     env = run.cascade.env
     state = env.state(jnp.moveaxis(jnp.asarray(starts), 0, -1), 0)
     expected = np.moveaxis(np.asarray(run.cascade.policies[0](env.observe(state))), -1, 0)
-    seen = np.moveaxis(visible(np.moveaxis(starts.astype(float), 0, -1), 1.0, 100.0), -1, 0)
+    seen = visible(starts.astype(float), 1.0, 100.0)
     assert not seen[:, ~np.eye(ROBOTS, dtype=bool)].all()
     cos, sin = (np.asarray(a).T for a in (state.frames.cos, state.frames.sin))
     for robot in range(ROBOTS):

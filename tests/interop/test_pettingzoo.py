@@ -177,7 +177,7 @@ def test_rewards_are_shared_or_each_robots_own():
     at(own)
     together = shared.step(one_by_one(velocities / 0.5))[1]
     apart = own.step(one_by_one(velocities / 0.5))[1]
-    _, (transition,) = played(world(by_robot=True), TRIANGLE, [velocities])
+    _, (transition,) = played(world(per_robot_credit=True), TRIANGLE, [velocities])
     close(list(together.values()), [float(transition.reward)] * 3)
     close(list(apart.values()), transition.credit)
     assert len(set(apart.values())) == 3

@@ -11,7 +11,7 @@ from gymnasium.utils.env_checker import data_equivalence
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from murmurate.errors import InputError
-from murmurate.interop import episodes
+from murmurate.interop import gathering
 from murmurate.interop.gymnasium import ENV_ID, GatheringEnv, GatheringVectorEnv
 
 ENVS = 4
@@ -223,7 +223,7 @@ def test_arrays_are_handed_out_once():
 
 @pytest.mark.parametrize("mode", MODES)
 def test_nothing_is_compiled_after_the_first_steps(mode):
-    programs = (episodes._begun, episodes._advanced, episodes._drawn, episodes._replaced)
+    programs = (gathering._begin, gathering._advance, gathering._draw, gathering._replace)
     env = begin(mode)
     seen = None
     for number in range(6):

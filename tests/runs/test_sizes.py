@@ -8,15 +8,16 @@ import numpy as np
 import pytest
 from test_training import StoppedError, stop_after
 
-from murmurate.discovery import Discovery
+from murmurate.discovery import Search, build_cascade, build_networks, search
+from murmurate.discovery.stage import draw_key
 from murmurate.errors import BeyondTrainingWarning, InputError
 from murmurate.runs import presets, train
 from murmurate.world import WorldConfig, scaled_to
 from tiny import tiny
 
 ANY = {
-    "policy": {"kind": "local", "hidden": [8, 4]},
-    "start": {"kind": "random"},
+    "policy": {"use": "local", "hidden": [8, 4]},
+    "start": {"use": "random"},
     "sizes": [3, 4, 6],
     "discovery": {"min_policies": 1, "max_policies": 1},
     "base": {"ppo": {"updates": 7}},
@@ -35,10 +36,10 @@ def metrics(run):
 def test_worlds_grow_as_the_papers_do_and_then_as_rings_do():
     half = {6: 35, 8: 40, 10: 45}
     for robots, side in half.items():
-        made = scaled_to(WorldConfig(), robots)
-        assert (made.half_width, made.robots) == (pytest.approx(side), robots)
-        assert made.scan_radius / made.half_width == pytest.approx(20 / 45)
-        assert (made.radius, made.safe_distance, made.max_speed) == (1.0, 5.0, 1.0)
+        world = scaled_to(WorldConfig(), robots)
+        assert (world.half_width, world.robots) == (pytest.approx(side), robots)
+        assert world.scan_radius / world.half_width == pytest.approx(20 / 45)
+        assert (world.radius, world.safe_distance, world.max_speed) == (1.0, 5.0, 1.0)
     assert scaled_to(WorldConfig(), 20).half_width == pytest.approx(70)
     assert scaled_to(WorldConfig(), 64).half_width == pytest.approx(0.175 * 64**2)
     back = scaled_to(scaled_to(WorldConfig(), 64), 10)
@@ -91,18 +92,22 @@ def test_a_run_is_executed_in_a_swarm_of_any_size(run):
 
 
 def test_the_policy_central_is_of_one_size(tmp_path):
-    made = train.discover(tiny(), tmp_path / "run")
+    run = train.discover(tiny(), tmp_path / "run")
     with pytest.raises(InputError, match="robots = 5: must be 3: the policy central is of one size"):
-        made.of_size(5)
+        run.of_size(5)
 
 
-def test_whether_patterns_are_valid_is_asked_of_every_size():
-    discovery = Discovery(tiny(**ANY))
-    asked = []
-    for part in discovery._parts:
-        part.cascade = lambda policies, part=part, real=part.cascade: asked.append(part.world.robots) or real(policies)
-    discovery.validity((discovery.networks(0)[0],), discovery._draw(0, "evaluation"))
-    assert asked == [3, 4, 6]
+def test_patterns_are_evaluated_in_every_size(monkeypatch):
+    sizes = []
+
+    def build(problem, policies, world):
+        sizes.append(problem.world.robots)
+        return build_cascade(problem, policies, world)
+
+    config = tiny(**ANY)
+    monkeypatch.setattr(search, "build_cascade", build)
+    Search(config).validity((build_networks(config, draw_key(config, 0, "networks"))[0],), 0)
+    assert sizes == [3, 4, 6]
 
 
 @pytest.mark.parametrize(
@@ -110,8 +115,8 @@ def test_whether_patterns_are_valid_is_asked_of_every_size():
     [
         ({"sizes": [3, 1]}, "robots = 1: must be an integer >= 2"),
         ({"sizes": [3, 3]}, "sizes = (3, 3): must be different from each other"),
-        ({"policy": {"kind": "central"}}, "policy.kind = 'central': must be equivariant or local with sizes"),
-        ({"start": {"kind": "packed"}}, "start.kind = 'packed': must be random with sizes"),
+        ({"policy": {"use": "central"}}, "policy.use = 'central': must be equivariant or local with sizes"),
+        ({"start": {"use": "packed"}}, "start.use = 'packed': must be random with sizes"),
         ({"discovery": {"max_policies": 2}}, "discovery.max_policies = 2: must be 1 with sizes"),
     ],
 )
@@ -123,9 +128,9 @@ def test_sizes_that_one_policy_cannot_serve_are_refused(overlay, line):
 
 def test_a_margin_makes_robots_larger_while_they_learn_and_nowhere_else():
     config = tiny(**{**ANY, "sizes": [], "base": {"margin": 0.25}})
-    discovery = Discovery(config)
-    env = discovery._environment(0, discovery.begin())
-    trained, sizes = env.env.env, config.world
-    assert (float(trained.radius), float(trained.safe_distance)) == (1.25 * sizes.radius, 1.25 * sizes.safe_distance)
-    for world in (env.world, discovery.world, discovery.cascade(()).world.world):
-        assert (float(world.radius), float(world.safe_distance)) == (sizes.radius, sizes.safe_distance)
+    search = Search(config)
+    env = search.stage(search.begin()).environment(0)
+    trained, world = env.config, config.world
+    assert (float(trained.radius), float(trained.safe_distance)) == (1.25 * world.radius, 1.25 * world.safe_distance)
+    for perceived in (env.env.world, search.world.config, build_cascade(config, ()).env.world):
+        assert (float(perceived.radius), float(perceived.safe_distance)) == (world.radius, world.safe_distance)

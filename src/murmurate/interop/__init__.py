@@ -1,4 +1,14 @@
-"""The world in the terms of other people's tools: Gymnasium and PettingZoo, each an optional extra.
+"""Adapters to other tools: Gymnasium, PettingZoo, ONNX, TensorBoard, and waypoints for test beds.
 
-Nothing is imported here: `murmurate.interop.gymnasium` and `murmurate.interop.pettingzoo` load what they adapt to.
+This package imports none of them. Each module, such as `murmurate.interop.gymnasium`, imports the tool that it adapts
+to, which is an optional extra.
 """
+
+from __future__ import annotations
+
+__all__ = ["missing_extra"]
+
+
+def missing_extra(extra: str) -> ModuleNotFoundError:
+    """Returns the error that names the command which installs an extra of this package."""
+    return ModuleNotFoundError(f'murmurate.interop.{extra} needs {extra}: pip install "murmurate[{extra}]"', name=extra)

@@ -11,14 +11,14 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from murmurate.interop.extras import missing
+from murmurate.interop import missing_extra
 from murmurate.runs import files
 from murmurate.runs.folder import RunFolder
 
 try:
     from tensorboardX import SummaryWriter
 except ModuleNotFoundError as error:
-    raise missing("tensorboard") from error
+    raise missing_extra("tensorboard") from error
 
 __all__ = ["FOLDER", "Events"]
 

@@ -15,7 +15,7 @@ from jax import export as jax_export
 from jax.extend.core import jaxpr_as_fun
 
 from murmurate.geometry import visible
-from murmurate.interop.extras import missing
+from murmurate.interop import missing_extra
 from murmurate.interop.onnx import programs
 from murmurate.interop.onnx.programs import Program
 from murmurate.runs.run import Run
@@ -25,7 +25,7 @@ try:
     import jax2onnx
     import onnxruntime
 except ModuleNotFoundError as error:
-    raise missing("onnx") from error
+    raise missing_extra("onnx") from error
 
 __all__ = ["CHECKED", "TOLERANCE", "Model", "export"]
 
