@@ -72,7 +72,7 @@ def results(rows: Sequence[Sequence[str]]) -> str:
 
 def _short(text: str) -> str:
     """Shortens cells that would make the table wider than the page."""
-    printed = text.replace(" printed, ", " / ").replace(" summed", "")
+    printed = text.replace(" printed, ", "<br>(").replace(" summed", ")")
     return printed.removesuffix(f" of {EPISODES}")
 
 
