@@ -12,7 +12,18 @@ __all__ = ["HEADER", "kept", "page", "put_into", "table_rows", "tables"]
 CONDITION = ("start", "sensing", "scheduler", "N", "method")
 """The columns that say what was evaluated."""
 
-MEASURES = ("valid", "95% interval", "collided", "left", "hidden", "not at rest", "steps", "epochs", "efficiency", "gap")
+MEASURES = (
+    "valid",
+    "95% interval",
+    "collided",
+    "left",
+    "hidden",
+    "not at rest",
+    "steps",
+    "epochs",
+    "efficiency",
+    "gap",
+)
 
 HEADER = (*CONDITION, *MEASURES)
 
