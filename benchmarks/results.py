@@ -148,7 +148,8 @@ The equivariant runs of seed 0, 200 starts for each cell: valid of 200, (episode
 bound. The column of an experiment's own start repeats the table above with other random numbers; the other layouts
 were never trained on. About half of the base policy's training begins anywhere, but mostly more crowded than here.
 The equivariant policy does not know where it is, so it does not know the walls: from a corner, a swarm that is
-nearer than its safe distance may leave the world. The other failures have one robot that stays inside, in line with two others.
+nearer than its safe distance may leave the world. The other failures have one robot that stays inside, in line with
+two others.
 
 {others}
 ![Experiment C: start, base pattern, final pattern, training, one episode](figures/discovery-C.png)
