@@ -16,8 +16,17 @@ typing.GENERATING_DOCUMENTATION = "murmurate"
 project = "murmurate"
 release = version = murmurate.__version__
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "sphinx.ext.mathjax",
+    "sphinx-mathjax-offline",
+]
 exclude_patterns = ["comparison/**.md"]  # `make compare` puts what they say into results.md and point.md
+
+# Formulas: `$...$` and `$$...$$`, as Markdown viewers have them. MathJax comes with a package, copied into the site.
+myst_enable_extensions = ["dollarmath", "amsmath"]
 
 # Headings get the anchors that Markdown viewers give them, so that one link serves both.
 myst_heading_anchors = 4
@@ -29,6 +38,8 @@ html_title = "murmurate"
 html_copy_source = False
 html_show_sourcelink = False
 html_show_copyright = False
+html_static_path = ["_static"]
+html_css_files = ["tables.css"]
 
 autodoc_default_options = {"members": True, "imported-members": True, "member-order": "bysource"}
 default_role = "code"  # single backticks in our docstrings mean code, as in Markdown
@@ -37,13 +48,16 @@ napoleon_use_ivar = True
 napoleon_attr_annotations = False  # types stand in the signature already
 
 nitpick_ignore_regex = [
+    # Type variables and aliases of types.
+    ("py:.*", r"(murmurate\.(discovery\.problem\.ProblemT|learning\.sharding\.Result|registry\.S)|Credit|Key|Safety)"),
+    ("py:.*", r"eqx\.AbstractVar"),
     # Names of other packages: to know where they are explained, Sphinx would have to fetch their inventories.
     ("py:.*", r"(collections|gymnasium|jax|jaxlib|jaxtyping|matplotlib|numpy|os|pathlib|pettingzoo)\..*"),
     # The same names where an annotation is shown as it is written.
     ("py:.*", r"Array|Bool|Float|Int|PRNGKeyArray|UInt8|UInt32|Path|ResetNeeded|(?:np\.)?ndarray"),
 ]
 
-# Two classes are called Sizes; where a package has neither, the one of the policies is meant, which is found first.
+# Several classes are called Policy or Transition; a reference that fits more than one leads to the first.
 suppress_warnings = ["ref.python"]
 
 _PROSE = ("attribute", "data", "property")

@@ -15,7 +15,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, PRNGKeyArray
+from jaxtyping import Array, Bool, Float, Key, PRNGKeyArray
 
 __all__ = ["GENERATOR", "bernoulli", "key", "reproducible", "signs", "wrap"]
 
@@ -39,7 +39,7 @@ def key(seed: Any) -> PRNGKeyArray:
     return jax.random.key(number, impl=GENERATOR)
 
 
-def wrap(data: Any) -> PRNGKeyArray:
+def wrap(data: Any) -> Key[Array, "*batch"]:
     """Returns the keys whose `jax.random.key_data` is given."""
     return jax.random.wrap_key_data(data, impl=GENERATOR)
 

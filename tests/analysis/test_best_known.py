@@ -47,7 +47,11 @@ def test_each_entry_is_between_the_ring_and_the_bound(entry):
         assert entry.value == pytest.approx(upper_bound(target), abs=1e-8)
 
 
-@pytest.mark.parametrize("entry", TABLE, ids=NAMES)
+@pytest.mark.parametrize(
+    "entry",
+    [pytest.param(entry, marks=[pytest.mark.nightly] if entry.robots >= 12 else []) for entry in TABLE],
+    ids=NAMES,
+)
 def test_no_entry_can_be_polished_further(entry):
     assert entry.target.value(polish(entry.positions, entry.target)) <= entry.value + 1e-8
 

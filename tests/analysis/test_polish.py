@@ -1,12 +1,13 @@
 from __future__ import annotations
 
+import functools
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from murmurate.analysis.optimum.formation import Target
-from murmurate.analysis.optimum.polish import _Problem, _repaired, polish
+from murmurate.analysis.optimum.polish import _Problem, _repair, polish
 from murmurate.geometry import distances, neighbors_and_visible, smallest_ring
 from murmurate.world import WorldConfig
 from oracles.configurations import disjoint
@@ -19,7 +20,7 @@ def scattered(seed, robots=8, side=30.0):
 
 
 @pytest.mark.parametrize("objective", ["C1", "C2"])
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", [0, 1, 2, *(pytest.param(seed, marks=pytest.mark.nightly) for seed in (3, 4, 5))])
 def test_it_gives_nothing_up(objective, seed):
     target = Target(WORLD, objective)
     before = scattered(seed)
@@ -32,18 +33,23 @@ def test_it_gives_nothing_up(objective, seed):
     assert (np.abs(after) <= 40).all()
 
 
+@functools.cache
+def polished(objective):
+    return polish(scattered(0), Target(WORLD, objective))
+
+
 @pytest.mark.parametrize("size", [1e-8, 1e-5, 1e-3])
 @pytest.mark.parametrize("objective", ["C1", "C2"])
 def test_a_small_step_outside_the_constraints_is_taken_back(objective, size):
-    before = scattered(4)
+    before = scattered(0)
     problem = _Problem.from_target(before, Target(WORLD, objective))
-    best = polish(before, Target(WORLD, objective)) / WORLD.safe_distance
+    best = polished(objective) / WORLD.safe_distance
     rng = np.random.default_rng(0)
     for _ in range(5):
         outside = best + size * rng.normal(size=best.shape)
-        assert problem.constraints(outside).slack(outside)[0].min() < -size / 10
-        inside = _repaired(outside, problem)
-        assert problem.constraints(inside).slack(inside)[0].min() > -1e-10
+        assert problem.constraints(outside).slack(outside).min() < -size / 10
+        inside = _repair(outside, problem)
+        assert problem.constraints(inside).slack(inside).min() > -1e-10
         assert np.abs(inside - outside).max() < 10 * size
 
 
@@ -86,7 +92,7 @@ def test_slopes_are_those_of_the_cost(reading, objective):
     problem = _Problem.from_target(5 * points, target)
     _, slope = problem.cost(points, 1e-3)
     kept = problem.constraints(points)
-    _, jacobian = kept.slack(points)
+    jacobian = kept.linearized(points)[1]
     for place in range(points.size):
         step = np.zeros(points.size)
         step[place] = 1e-6
@@ -94,7 +100,7 @@ def test_slopes_are_those_of_the_cost(reading, objective):
         assert slope[place] == pytest.approx(
             (problem.cost(ahead, 1e-3)[0] - problem.cost(behind, 1e-3)[0]) / 2e-6, abs=1e-5
         )
-        assert jacobian[:, place] == pytest.approx((kept.slack(ahead)[0] - kept.slack(behind)[0]) / 2e-6, abs=1e-5)
+        assert jacobian[:, place] == pytest.approx((kept.slack(ahead) - kept.slack(behind)) / 2e-6, abs=1e-5)
     # What is made small is the objective, up to a constant and a factor.
     other = points * 1.01
     cost = problem.cost(other, 0.0)[0] - problem.cost(points, 0.0)[0]

@@ -18,6 +18,7 @@ from markdown_it.token import Token
 from murmurate.cli import discover
 from murmurate.cli.main import VERBS, main
 from murmurate.cli.sweep import _parser
+from murmurate.discovery import check_parts
 from murmurate.runs import presets
 from murmurate.runs.grid import Grid
 
@@ -37,8 +38,6 @@ TINY += [
     "8",
     "--discovery.max_policies",
     "2",
-    "--policy.hidden",
-    "8,8",
 ]
 # Whatever was learned, it comes to rest at once.
 TINY += ["--rest.max_steps", "20", "--rest.tolerance", "0.5", "--rest.switch_tolerance", "0.5"]
@@ -72,11 +71,15 @@ class Reader:
             assert not first & {"$", "murmurate", "make", "pip", "python", "pytest"}, f"{self.page}: use a block of sh"
 
     def python(self, code: str) -> None:
-        """Executes code with the names of the blocks before it."""
-        exec(compile(code, self.page, "exec", dont_inherit=True), self.scope)
+        """Executes code with the names of the blocks before it; saves it if its first line names a file."""
+        name = re.match(r"# ([\w-]+\.py)\n", code)
+        if name:
+            (self.folder / name[1]).write_text(code, "utf-8")
+        else:
+            exec(compile(code, self.page, "exec", dont_inherit=True), self.scope)
 
     def toml(self, text: str) -> None:
-        """Saves an experiment or a sweep under the name that its first line gives, and resolves it."""
+        """Saves an experiment or a sweep under the name that its first line gives, and checks it."""
         name = re.match(r"# ([\w-]+\.toml)\n", text)
         assert name, f"{self.page}: the first line of a block of TOML is `# name.toml`"
         path = self.folder / name[1]
@@ -84,7 +87,7 @@ class Reader:
         if "experiments" in tomllib.loads(text):
             Grid.from_toml(path)
         else:
-            presets.resolve(str(path))
+            check_parts(presets.resolve(str(path)))  # evaluates every class that the page brings
 
     def shell(self, text: str) -> None:
         """Tries every command: ours are executed, of others it is checked that what they name exists."""
@@ -117,17 +120,26 @@ class Reader:
             return
         small: list[str] = []
         if words[0] == "discover":
-            # Of the policies, central compiles fastest; the others, in swarms of three.
-            small = [*TINY, *(("--world.robots", "3") if "--policy" in words else ("--policy", "central"))]
+            small = [*TINY, *self.small_policy(words)]
         elif words[0] == "evaluate" and "--starts" not in words:
             small = ["--episodes", "8"]
         elif words[0] == "show" and "--robots" in words:
             small = ["--robots", "4"]
         elif words[0] == "compare":
-            small = ["--robots", "4", "--episodes", "4", "--schedulers", "fsync", "--methods", "learned,circle"]
+            small = ["--robots", "4", "--episodes", "4", "--schedulers", "fsync"]
+            small += [] if "--methods" in words else ["--methods", "learned,circle"]
         status = main([*words, *small])
         # Nothing need have been learned in two updates.
         assert status in ((0, 3) if words[0] == "discover" else (0,)), f"{self.page}: murmurate {' '.join(words)}"
+
+    def small_policy(self, words: list[str]) -> list[str]:
+        """Returns the flags of a small policy: central compiles fastest; others, in swarms of three."""
+        hidden = ["--policy.hidden", "8,8"]
+        if "--policy" in words:
+            return [*hidden, "--world.robots", "3"]
+        files = [self.folder / word for word in words if word.endswith(".toml")]
+        tables = [tomllib.loads(path.read_text("utf-8")).get("policy", {}) for path in files]
+        return [] if any(":" in table.get("use", "") for table in tables) else ["--policy", "central", *hidden]
 
 
 def _make(words: list[str]) -> None:

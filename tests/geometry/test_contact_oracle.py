@@ -8,7 +8,7 @@ import pytest
 
 from murmurate import geometry
 from oracles import contact as oracle
-from oracles.configurations import CONFIGURATIONS, disjoint, scenes
+from oracles.configurations import BATCHES, disjoint, scenes
 from oracles.visibility import FLOAT32_TANGENCY, FLOAT64_TANGENCY, pairwise_distances
 
 
@@ -24,11 +24,12 @@ def contacts(positions, velocities, radius, half_side):
 KERNELS = [(contacts, np.float64, FLOAT64_TANGENCY), (jax.jit(contacts), np.float32, FLOAT32_TANGENCY)]
 
 
-@pytest.mark.parametrize("robots", CONFIGURATIONS)
-def test_kernels_agree_with_shapes(robots):
+@pytest.mark.parametrize("long", [False, pytest.param(True, marks=pytest.mark.nightly)], ids=["short", "long"])
+@pytest.mark.parametrize("robots", BATCHES)
+def test_kernels_agree_with_shapes(robots, long):
     rng = np.random.default_rng(robots)
     collisions, departures, total = 0, 0, 0
-    for positions, radius, side in scenes(robots):
+    for positions, radius, side in scenes(robots, long):
         # Steps across a good part of the world, so that many robots pass through one another between the ends.
         velocities = rng.uniform(-0.5, 0.5, positions.shape).astype(np.float32) * np.float32(side / robots)
         approach = oracle.closest_approach(positions, velocities)

@@ -10,7 +10,7 @@ import shapely
 from murmurate import geometry
 from murmurate.errors import InputError
 from oracles import visibility as oracle
-from oracles.configurations import CONFIGURATIONS, disjoint, scenes
+from oracles.configurations import BATCHES, disjoint, scenes
 
 
 def readings(positions, radius, scan_radius):
@@ -27,15 +27,11 @@ KERNELS = [
 ]
 
 
-def test_there_are_a_hundred_thousand_configurations():
-    assert sum(CONFIGURATIONS.values()) >= 100_000
-    assert sorted(CONFIGURATIONS) == list(range(2, 17))
-
-
-@pytest.mark.parametrize("robots", CONFIGURATIONS)
-def test_kernels_agree_with_polygons(robots):
+@pytest.mark.parametrize("long", [False, pytest.param(True, marks=pytest.mark.nightly)], ids=["short", "long"])
+@pytest.mark.parametrize("robots", BATCHES)
+def test_kernels_agree_with_polygons(robots, long):
     undecided, occlusions, pairs = {np.float64: 0, np.float32: 0}, 0, 0
-    for positions, radius, side in scenes(robots):
+    for positions, radius, side in scenes(robots, long):
         scan_radius = 0.5 * side
         clearance = oracle.shadow_clearance(positions, radius)
         near = oracle.neighbors(positions, scan_radius)

@@ -1,4 +1,4 @@
-"""Random configurations of disjoint robots, dense and sparse: what kernels and oracles are compared on."""
+"""Random configurations of disjoint robots, dense and sparse, on which kernels and oracles are compared."""
 
 from __future__ import annotations
 
@@ -7,9 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-# How many configurations of each number of robots make up a comparison: 100,000 in all.
-CONFIGURATIONS = {robots: 12_000 if robots <= 8 else 2_000 for robots in range(2, 17)}
-BATCH = 1_000
+BATCHES = {robots: 12 if robots <= 8 else 2 for robots in range(2, 17)}
+"""Number of batches for each number of robots in a long comparison."""
+
+LONG, SHORT = 1_000, 100
+"""Configurations in a batch: 100,000 in all for a long comparison, 3,000 for a short one of two batches a size."""
 
 
 class Scene(NamedTuple):
@@ -46,10 +48,11 @@ def disjoint(rng: np.random.Generator, batch: int, robots: int, radius: float, s
     return positions
 
 
-def scenes(robots: int) -> Iterator[Scene]:
-    """Yields the configurations of that many robots, a batch crowded and a batch scattered in turn."""
+def scenes(robots: int, long: bool) -> Iterator[Scene]:
+    """Yields batches of configurations of that many robots, crowded and scattered in turn."""
+    batches, size = (BATCHES[robots], LONG) if long else (2, SHORT)
     rng = np.random.default_rng(robots)
     crowded = np.sqrt(2 * np.pi * robots)  # discs of radius 1 cover half of the square that holds their centres
-    for batch in range(CONFIGURATIONS[robots] // BATCH):
+    for batch in range(batches):
         radius, side = (1.0, crowded) if batch % 2 == 0 else (0.4, 70.0)
-        yield Scene(disjoint(rng, BATCH, robots, radius, side), radius, side)
+        yield Scene(disjoint(rng, size, robots, radius, side), radius, side)

@@ -56,7 +56,7 @@ def assert_same(folder, other):
 
 def test_a_finished_run_holds_all_its_parts(finished):
     assert sorted(path.relative_to(finished).as_posix() for path in finished.rglob("*") if path.is_file()) == sorted(
-        [*KEPT, "metrics.jsonl", "manifest.json"]
+        [*KEPT, "metrics.jsonl", "manifest.json", "figures/discovery.png"]
     )
     manifest = RunFolder(finished).verify()
     assert set(manifest) == {
@@ -68,7 +68,7 @@ def test_a_finished_run_holds_all_its_parts(finished):
     assert manifest["environment_steps"] == 2 * 4 * 8 * 4
     assert manifest["checksums"].keys() == {"experiment.toml", *POLICIES}
     assert RunFolder(finished).experiment() == tiny()
-    assert plots.Record.open(finished).policies == ("base", "auxiliary")
+    assert plots.Recording.open(finished).policies == ["base", "auxiliary"]
 
 
 def test_metrics_are_one_row_an_update(finished):

@@ -1,6 +1,6 @@
-"""What was found: the patterns of many runs sorted into classes, their symmetry, and measures of each.
+"""Analysis of patterns: catalogues of the patterns of many runs, their symmetry and measures, and the best known.
 
-NumPy and SciPy only. `murmurate.geometry.similarity` says when two configurations are the same pattern.
+It needs NumPy and SciPy only, except `optimum`, which anneals in JAX.
 """
 
 from murmurate.analysis.catalogue import TOLERANCE, Catalogue, Finding, PatternClass, unmatched

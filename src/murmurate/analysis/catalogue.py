@@ -1,10 +1,10 @@
-"""What was found, by any number of runs: valid patterns sorted into classes of the same pattern.
+"""Catalogues: the valid patterns of any number of runs, sorted into classes of the same pattern.
 
-Findings are put in order, best first. Each then joins the nearest leader within the tolerance or, where there is none,
-leads a class of its own: the leader, which represents the class, is its pattern of greatest value. So classes depend on
-the findings alone, and not on the order in which they came; merging catalogues is sorting the union of their findings.
+Findings are sorted, best first. Each joins the class of the nearest leader within the tolerance or, where there is
+none, leads a class of its own. So the leader, which represents the class, has the greatest value. Classes depend on the
+findings alone, not on their order; to merge catalogues, make one of all their findings.
 
-Values of different objectives do not compare: findings for C1 come before those for C2.
+Values of different objectives are not comparable: findings for C1 come before those for C2.
 """
 
 from __future__ import annotations
@@ -33,15 +33,15 @@ TOLERANCE = 0.125
 
 Patterns of eight and ten robots, relaxed from random starts until nothing moves, are either the same to 0.015 or, but
 for 12 of 21,000 pairs, more than 0.125 apart (the 12 have a single robot elsewhere). Learned patterns of eight and ten
-robots agree to 0.03 (experiments B, C, E and F). Six small robots have room to drift: in A those of one kind differ by
-up to 0.12, and the next kind is 0.15 away; in D there are all distances up to 0.5, fewest from 0.125 to 0.175. So it
-looks, too: when two patterns of six are laid onto each other, all discs overlap or touch up to about 0.12, and a robot
-is out of its place at 0.15.
+robots agree to 0.03 (experiments B, C, E and F). Six small robots have room to drift: in A patterns of one kind differ
+by up to 0.12, and the next kind is 0.15 away; in D all distances up to 0.5 occur, fewest from 0.125 to 0.175. The eye
+agrees: when two patterns of six are superposed, all discs overlap or touch up to a distance of about 0.12, and at 0.15
+one robot is clearly at another place.
 """
 
 FORMAT = 1
 ROUNDING = 1e-12
-"""By how much a bound of a distance may be above it, for rounding alone."""
+"""By how much rounding may lift a lower bound above the distance."""
 
 _LENGTH, _VALUE = (1 / GREATEST, GREATEST), (-GREATEST, GREATEST)
 _NUMBERS = {"radius": _LENGTH, "safe_distance": _LENGTH, "scan_radius": _LENGTH, "value": _VALUE, "gap": _VALUE}
@@ -57,7 +57,7 @@ HEADER = (
 
 @dataclass(frozen=True, eq=False)
 class Finding:
-    """One valid pattern, and where it is from.
+    """One valid pattern and its origin.
 
     Attributes:
         positions: Centres of the robots at rest, world units.
@@ -66,13 +66,13 @@ class Finding:
         scan_radius: The paper's R_scan, world units.
         objective: C1, C2, or custom for any other.
         value: The objective that was reached, with the signals' own weights (the paper's are all 1).
-        gap: By how much the best known value is greater; None when that is not known.
+        gap: Difference of the best known value to it; None where no value is known.
         experiment: The experiment that found it.
-        policy: Its kind of policy.
-        start: Its kind of start.
+        policy: The name of its policy.
+        start: The name of its start.
         seed: Its seed.
-        run: What tells the run from all others, such as a checksum.
-        episode: Which of the run's episodes ended in it.
+        run: Identifies the run, such as a checksum.
+        episode: The episode of the run that ended in it.
     """
 
     positions: Float[np.ndarray, "robots 2"]
@@ -111,7 +111,7 @@ class Finding:
                 raise InputError(name, text, "a line of text")
 
     def to_dict(self) -> dict[str, Any]:
-        """Returns what JSON can hold, without loss."""
+        """Returns the finding as a dictionary for JSON, without loss."""
         values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         return values | {"positions": self.positions.tolist()}
 
@@ -130,22 +130,22 @@ class Finding:
 
     @property
     def source(self) -> str:
-        """The experiment, the kind of policy and the seed."""
+        """The experiment, the policy and the seed."""
         return f"{self.experiment} {self.policy} {self.seed}"
 
 
 @dataclass(frozen=True, eq=False)
 class PatternClass:
-    """Findings that are the same pattern. What is measured, is measured on the representative.
+    """Findings that are the same pattern. Symmetry and measures are those of the representative.
 
     Attributes:
         name: P1 for the class of greatest value, then P2 and so on.
         members: The findings, best first.
-        spread: Greatest distance of a member to the representative.
-        symmetry: Its symmetry.
+        spread: Greatest distance of a member from the representative.
+        symmetry: Symmetry of the representative.
         layers: Robots on its convex hull, on the hull of those inside, and so on.
         nearest: Each robot's distance to the nearest other one, world units.
-        margin: Least gap between a disc and a shadow, radii.
+        margin: Least gap between a disc and a shadow, in radii.
     """
 
     name: str
@@ -163,7 +163,7 @@ class PatternClass:
 
     @property
     def count(self) -> int:
-        """How many findings it has."""
+        """Number of findings."""
         return len(self.members)
 
     @property
@@ -173,31 +173,31 @@ class PatternClass:
 
     @property
     def gap(self) -> float | None:
-        """By how much the best known value is greater; None when that is not known."""
+        """Difference of the best known value to the representative's; None where no value is known."""
         return self.representative.gap
 
     @property
     def starts(self) -> dict[str, int]:
-        """Findings by kind of start."""
+        """Number of findings by start."""
         return _counts(member.start for member in self.members)
 
     @property
     def seeds(self) -> dict[str, int]:
-        """Findings by experiment, kind of policy and seed."""
+        """Number of findings by experiment, policy and seed."""
         return _counts(member.source for member in self.members)
 
 
 @dataclass(frozen=True, eq=False)
 class Catalogue:
-    """Findings and their classes; made by `from_findings`, `merge` and `from_dict`.
+    """Findings and their classes; made by `from_findings` and `from_dict`.
 
     Attributes:
         findings: All findings, best first.
         classes: Their classes, best first.
-        tolerance: Greatest distance of a member to its class's representative.
-        symmetry_tolerance: By how much a symmetry may miss, root mean square radii.
-        scaling: Whether size does not matter: distances are then in root mean square radii, else in world units.
-        reflection: Whether mirror images are the same pattern.
+        tolerance: Greatest distance of a member from the representative of its class.
+        symmetry_tolerance: Greatest residual of a symmetry, in root mean square radii.
+        scaling: Ignore size: distances are then in root mean square radii, otherwise in world units.
+        reflection: Count mirror images as the same pattern.
     """
 
     findings: tuple[Finding, ...]
@@ -217,18 +217,18 @@ class Catalogue:
         scaling: bool = True,
         reflection: bool = True,
     ) -> Catalogue:
-        """Sorts findings into classes. What the same episode of the same run found twice counts once.
+        """Sorts findings into classes; a finding that occurs twice counts once.
 
         Args:
             findings: The findings, in any order.
-            tolerance: Greatest distance of a member to its class's representative; by default `TOLERANCE`, which is
-                for `scaling`.
-            symmetry_tolerance: By how much a symmetry may miss, root mean square radii.
-            scaling: Whether size does not matter: distances are then in root mean square radii, else in world units.
-            reflection: Whether mirror images are the same pattern.
+            tolerance: Greatest distance of a member from the representative of its class; by default `TOLERANCE`, which
+                is for `scaling`.
+            symmetry_tolerance: Greatest residual of a symmetry, in root mean square radii.
+            scaling: Ignore size: distances are then in root mean square radii, otherwise in world units.
+            reflection: Count mirror images as the same pattern.
 
         Raises:
-            InputError: There are no findings, they do not compare, or a tolerance is not positive.
+            InputError: There are no findings, they are not comparable, or a tolerance is not positive.
         """
         if tolerance is None:
             if not scaling:
@@ -239,13 +239,13 @@ class Catalogue:
         unique = _unique(findings)
         _check_comparable(unique, scaling)
         classes = tuple(
-            _described(f"P{number}", group, symmetry_tolerance)
-            for number, group in enumerate(_grouped(unique, tolerance, scaling, reflection), start=1)
+            _describe(f"P{number}", group, symmetry_tolerance)
+            for number, group in enumerate(_group(unique, tolerance, scaling, reflection), start=1)
         )
         return cls(tuple(unique), classes, float(tolerance), float(symmetry_tolerance), scaling, reflection)
 
     def to_dict(self) -> dict[str, Any]:
-        """Returns what JSON can hold, without loss: the findings, of which the classes are made again."""
+        """Returns the findings and options as a dictionary for JSON; the classes follow from them."""
         options = {name: getattr(self, name) for name in _OPTIONS}
         return {"format": FORMAT} | options | {"findings": [finding.to_dict() for finding in self.findings]}
 
@@ -264,11 +264,11 @@ class Catalogue:
                 raise InputError(name, data[name], "true or false")
         if not isinstance(data["findings"], list):
             raise InputError("findings", type(data["findings"]).__name__, "a list")
-        findings = [Finding.from_dict(item, f"findings[{place}]") for place, item in enumerate(data["findings"])]
+        findings = [Finding.from_dict(item, f"findings[{index}]") for index, item in enumerate(data["findings"])]
         return cls.from_findings(findings, **{name: data[name] for name in _OPTIONS})
 
     def rows(self) -> list[tuple[Any, ...]]:
-        """Returns a table for a CSV file: the header, then a row for each class."""
+        """Returns the rows of a CSV file: the header, then one row for each class."""
         return [HEADER, *map(_row, self.classes)]
 
 
@@ -280,8 +280,8 @@ def unmatched(
     They are compared as the catalogue compares its findings: by its tolerance, with or without scaling and reflection.
 
     Args:
-        catalogue: What runs found.
-        configurations: What something else found, such as an annealer, world units.
+        catalogue: The catalogue.
+        configurations: Configurations from elsewhere, such as an annealer, world units.
 
     Returns:
         The classes that have no match, best first.
@@ -289,12 +289,12 @@ def unmatched(
     others, scaling, limit = list(configurations), catalogue.scaling, catalogue.tolerance
 
     def matched(pattern: PatternClass) -> bool:
-        ours = pattern.representative.positions
-        # Most are far apart, which the cheap bound tells; the nearest by it come first.
-        near = sorted((lower_bound(ours, other, scaling=scaling), place) for place, other in enumerate(others))
+        positions = pattern.representative.positions
+        # The cheap lower bound rules most of them out; the most promising are compared first.
+        bounds = sorted((lower_bound(positions, other, scaling=scaling), index) for index, other in enumerate(others))
         return any(
-            distance(ours, others[place], scaling=scaling, reflection=catalogue.reflection, limit=limit) <= limit
-            for bound, place in near
+            distance(positions, others[index], scaling=scaling, reflection=catalogue.reflection, limit=limit) <= limit
+            for bound, index in bounds
             if bound <= limit
         )
 
@@ -302,7 +302,7 @@ def unmatched(
 
 
 def _unique(findings: Iterable[Finding]) -> list[Finding]:
-    """Puts findings in order, best first, and leaves out what the same episode of the same run found before."""
+    """Returns findings, best first, without repetitions of the same episode of the same run."""
     unique: dict[tuple[Any, ...], Finding] = {}
     for rank, finding in sorted(((_rank(finding), finding) for finding in findings), key=operator.itemgetter(0)):
         unique.setdefault(rank[2:5], finding)
@@ -310,7 +310,7 @@ def _unique(findings: Iterable[Finding]) -> list[Finding]:
 
 
 def _rank(finding: Finding) -> tuple[Any, ...]:
-    """Returns what findings are ordered by: everything, so that the order is always the same."""
+    """Returns the key by which findings are sorted: all fields, so that the order is always the same."""
     gap = math.inf if finding.gap is None else finding.gap
     identity = (finding.run, finding.episode, tuple(map(tuple, finding.positions.tolist())))
     numbers = (finding.seed, gap, finding.radius, finding.safe_distance, finding.scan_radius)
@@ -328,15 +328,15 @@ def _check_comparable(findings: Iterable[Finding], scaling: bool) -> None:
         raise InputError("radius", radii, "the same in all findings, where patterns are not scaled")
 
 
-def _grouped(
+def _group(
     findings: list[Finding], tolerance: float, scaling: bool, reflection: bool
 ) -> list[list[tuple[Finding, float]]]:
-    """Sorts findings, best first, into classes: lists of members and their distances to the first."""
+    """Sorts findings, best first, into classes: lists of members and their distances from the first."""
     profiles = np.array([profile(finding.positions, scaling=scaling) for finding in findings])
     leaders: list[int] = []
     groups: list[list[tuple[Finding, float]]] = []
-    for place, finding in enumerate(findings):
-        bounds = np.sqrt(np.mean((profiles[leaders] - profiles[place]) ** 2, axis=1))
+    for index, finding in enumerate(findings):
+        bounds = np.sqrt(np.mean((profiles[leaders] - profiles[index]) ** 2, axis=1))
         joined, nearest = None, tolerance
         for number in np.argsort(bounds, kind="stable"):
             if bounds[number] > nearest + ROUNDING:
@@ -346,14 +346,14 @@ def _grouped(
             if apart <= nearest:
                 joined, nearest = int(number), apart
         if joined is None:
-            leaders.append(place)
+            leaders.append(index)
             groups.append([(finding, 0.0)])
         else:
             groups[joined].append((finding, nearest))
     return groups
 
 
-def _described(name: str, group: list[tuple[Finding, float]], tolerance: float) -> PatternClass:
+def _describe(name: str, group: list[tuple[Finding, float]], tolerance: float) -> PatternClass:
     members, distances = zip(*group, strict=True)
     best = members[0]
     return PatternClass(
@@ -393,7 +393,7 @@ def _row(pattern: PatternClass) -> tuple[Any, ...]:
 
 
 def _check_fields(data: Any, names: Set[str], where: str) -> None:
-    """Checks that data is a dictionary with these fields and no others."""
+    """Checks that data is a dictionary with exactly these fields."""
     if not isinstance(data, Mapping):
         raise InputError(where, type(data).__name__, f"an object with the fields {', '.join(sorted(names))}")
     for name in sorted(names - data.keys()):

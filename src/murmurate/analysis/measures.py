@@ -1,4 +1,4 @@
-"""Measures of one configuration: its layers, how near its robots are, and how much room visibility leaves it."""
+"""Measures of one configuration, the distances of nearest robots and the visibility margin; and a line fit."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def nearest_distances(positions: Float[np.ndarray, "robots 2"]) -> Float[np.ndar
     """Returns each robot's distance to the robot nearest to it, world units; inf for a robot alone.
 
     Raises:
-        InputError: It is no configuration of finite numbers.
+        InputError: The positions are not finite numbers of shape (robots, 2).
     """
     distance = distances(configuration(positions))
     np.fill_diagonal(distance, np.inf)
@@ -37,11 +37,11 @@ def visibility_margin(positions: Float[np.ndarray, "robots 2"], radius: float) -
         radius: The paper's R_bot, world units.
 
     Returns:
-        The gap, in radii: positive, when nobody occludes anybody; 0, tangent; negative, how deep a disc reaches into a
-        shadow (at most 1: its centre is in it). inf for fewer than three robots.
+        The gap in radii: positive where no robot is occluded, 0 where a disc touches a shadow, negative where one
+        reaches into a shadow, by at most 1 where its centre is in it. inf for fewer than three robots.
 
     Raises:
-        InputError: It is no configuration of finite numbers, or the radius is not positive.
+        InputError: The positions are not finite numbers of shape (robots, 2), or the radius is not positive.
     """
     check_number("radius", radius, 0, exclusive_low=True)
     points = configuration(positions) / radius
@@ -54,7 +54,7 @@ def visibility_margin(positions: Float[np.ndarray, "robots 2"], radius: float) -
     cosine = np.sqrt((1 - sine) * (1 + sine))
     towards = offset / np.where(apart, distance, 1)
 
-    # Robot i (third axis) where k is the origin and j on the positive x-axis; the mirror image for those below it.
+    # Robot i (third axis) in coordinates with k at the origin and j on the positive x-axis, mirrored to y >= 0.
     seen = offset[:, None, :] * towards.conj()[:, :, None]
     x, y = seen.real, np.abs(seen.imag)
     sin, cos, far = sine[:, :, None], cosine[:, :, None], distance[:, :, None]

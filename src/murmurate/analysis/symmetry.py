@@ -1,13 +1,13 @@
-r"""The symmetry of one configuration: which turns and mirrors about its centroid map the swarm onto itself.
+r"""The symmetry of one configuration: which rotations about its centroid and reflections map the swarm onto itself.
 
-Learned patterns are symmetric only nearly, so a tolerance decides. What it is compared with is, for the turn by
-2 pi / k, the least root mean square distance from the robots to the turned ones, each taken for another (a linear
-assignment); for a mirror, the least over all axes through the centroid, found as `geometry.similarity` lays a pattern
-onto its mirror image. Both are in root mean square radii.
+Learned patterns are symmetric only approximately, so a residual is compared with a tolerance. For the rotation by
+2 pi / k it is the least root mean square distance between the robots and the rotated robots (a linear assignment). For
+a reflection it is the distance of the pattern to its mirror image (`geometry.similarity`), over all axes through the
+centroid. Both are in root mean square radii.
 
-A small distance alone is not enough: nine robots around a tenth are hardly displaced by a tenth of a turn (0.07), which
-is no symmetry of theirs. The k-th repetition of a turn by 2 pi / k, and none before, must bring every robot back to its
-place; only one at the centroid stays throughout.
+A small residual alone is not enough: nine robots around a tenth are displaced by only 0.07 by a tenth of a turn, which
+is not a symmetry. The k-th repetition of the rotation by 2 pi / k, and none before, must bring every robot back to its
+own place; only a robot at the centroid stays throughout.
 """
 
 from __future__ import annotations
@@ -43,10 +43,10 @@ class Symmetry:
     """The symmetry group of a configuration.
 
     Attributes:
-        rotations: The largest k for which turning by 2 pi / k about the centroid maps the swarm onto itself; 1: none.
-        mirrored: Whether a reflection does so too; there are then k axes.
-        residual: Root mean square distance, in root mean square radii, by which the worse of the generators (the turn,
-            the mirror) misses; 0 without any.
+        rotations: The largest k for which rotation by 2 pi / k about the centroid maps the swarm onto itself; 1: none.
+        mirrored: Whether a reflection maps the swarm onto itself; there are then k axes.
+        residual: Residual of the worse of the generators, rotation and reflection, in root mean square radii; 0 without
+            any.
     """
 
     rotations: int
@@ -55,7 +55,7 @@ class Symmetry:
 
     @property
     def name(self) -> str:
-        """C_k for turns alone, D_k for turns and mirrors (D_1: one mirror), "none" for neither."""
+        """C_k for rotations alone, D_k for rotations and reflections (D_1: one reflection), "none" for neither."""
         if self.mirrored:
             return f"D_{self.rotations}"
         return f"C_{self.rotations}" if self.rotations > 1 else "none"
@@ -68,19 +68,19 @@ class Symmetry:
 
 
 def symmetry(positions: Float[np.ndarray, "robots 2"], tolerance: float = SYMMETRY_TOLERANCE) -> Symmetry:
-    """Finds the symmetry group of a configuration of disjoint robots.
+    """Returns the symmetry group of a configuration of disjoint robots.
 
     Args:
         positions: Centres of the robots, world units.
-        tolerance: By how much a turn or mirror may miss, in root mean square radii.
+        tolerance: Greatest residual of a rotation or reflection, in root mean square radii.
 
     Raises:
-        InputError: It is no configuration of finite numbers, or the tolerance is not positive.
+        InputError: The positions are not finite numbers of shape (robots, 2), or the tolerance is not positive.
     """
     check_number("tolerance", tolerance, 0, exclusive_low=True)
     z = normalized(positions)
     rotations, residual = next(
-        ((k, missed) for k in range(len(z), 1, -1) if (missed := _missed(z, k)) <= tolerance), (1, 0.0)
+        ((k, error) for k in range(len(z), 1, -1) if (error := _rotation_residual(z, k)) <= tolerance), (1, 0.0)
     )
     image = np.asarray(positions, float) * [1, -1]
     mirror = distance(positions, image, reflection=False, limit=tolerance)
@@ -89,7 +89,7 @@ def symmetry(positions: Float[np.ndarray, "robots 2"], tolerance: float = SYMMET
 
 
 def upright(positions: Float[np.ndarray, "robots 2"]) -> Float[np.ndarray, "robots 2"]:
-    """Centres a configuration and turns its best mirror axis upright, its farther end up: as a plate shows it.
+    """Returns a configuration centred and rotated so that its best mirror axis is vertical, the farther end up.
 
     Args:
         positions: Centres of the robots, world units.
@@ -103,15 +103,15 @@ def upright(positions: Float[np.ndarray, "robots 2"]) -> Float[np.ndarray, "robo
     return np.stack([z.real, z.imag], axis=1)
 
 
-def _missed(z: Complex[np.ndarray, " robots"], k: int) -> float:
-    """Returns how far the swarm is from itself turned by 2 pi / k; inf if k such turns move someone."""
+def _rotation_residual(z: Complex[np.ndarray, " robots"], k: int) -> float:
+    """Returns the residual of the rotation by 2 pi / k; inf if its k-th repetition moves a robot."""
     squares = np.abs(z[:, None] - z[None] * cmath.exp(2j * math.pi / k)) ** 2
     robots, images = linear_sum_assignment(squares)
     return math.sqrt(squares[robots, images].mean()) if _repeats(images, k) else math.inf
 
 
 def _repeats(images: Int[np.ndarray, " robots"], k: int) -> bool:
-    """Says whether a relabelling brings every robot, but at most one, back at its k-th repetition and not before."""
-    places = list(itertools.accumulate([images] * k, lambda place, step: step[place]))
-    returned = np.array(places) == np.arange(len(images))
+    """Returns whether a relabelling returns all robots, but at most one, at its k-th repetition and not before."""
+    repetitions = list(itertools.accumulate([images] * k, lambda labels, step: step[labels]))
+    returned = np.array(repetitions) == np.arange(len(images))
     return bool(returned[-1].all() and returned[:-1].any(axis=0).sum() <= 1)

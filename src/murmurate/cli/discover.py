@@ -88,7 +88,7 @@ def _parser(word: str | None, argv: Sequence[str]) -> Parser:
     parser.add_argument("--out", metavar="DIR", help="run folder (default: runs/EXPERIMENT-LEARNER-seedSEED)")
     parser.add_argument("--config", metavar="FILE", help="TOML file of fields to replace; flags win over it")
     names = ",".join(presets.TRAINING_PRESETS)
-    text = "whose numbers to begin with (default: those of the policy)"
+    text = "training preset (default: that of the policy)"
     parser.add_argument("--learner", metavar=f"{{{names}}}", help=text)
     parser.add_argument("--resume", action="store_true", help="continue the run that the folder holds")
     text = "begin with the policies of this run, of the same shapes, instead of new ones"
@@ -171,10 +171,10 @@ def _events(wanted: bool) -> AbstractContextManager[Callable[[Path], None] | Non
 
 def _print_results(run: Run, folder: RunFolder) -> int:
     """Prints and draws a finished run; returns the exit status."""
-    from murmurate.cli import outcome
+    from murmurate.cli import summary
 
-    outcome.print_results(run, folder)
-    print(f"picture: {outcome.draw(folder)}")
+    summary.print_results(run, folder)
+    print(f"picture: {summary.draw(folder)}")
     if not run.manifest["valid_pattern"]:
         print(f"No valid pattern was discovered. The run is kept in {folder.path}; try another --seed or more updates.")
         return NOTHING_VALID

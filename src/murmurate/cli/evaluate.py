@@ -24,7 +24,7 @@ def run(argv: Sequence[str]) -> int:
     parser.add_argument("--trust", action="store_true", help="import the modules that RUN names, which executes them")
     options, _ = parser.parse(argv)
 
-    from murmurate.cli import outcome
+    from murmurate.cli import summary
     from murmurate.runs import evaluate
     from murmurate.runs.folder import RunFolder
     from murmurate.runs.run import Run, check_draw
@@ -49,7 +49,7 @@ def run(argv: Sequence[str]) -> int:
     if is_copy:
         folder.copy_to(target)
     result.save(target)
-    outcome.print_results(opened, target)
-    print(f"picture: {outcome.draw(target)}")
+    summary.print_results(opened, target)
+    print(f"picture: {summary.draw(target)}")
     print("record: " + ", ".join(map(str, target.evaluation_files)))
     return 0

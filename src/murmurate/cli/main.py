@@ -55,7 +55,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except (InputError, RunError, UsageError) as error:
         return _complain(str(error), BAD_INPUT)
     except BrokenPipeError:
-        # Whoever read our output has left; Python must not complain about it once more when it flushes at exit.
+        # The reader of the pipe has closed it. Python flushes once more at exit, and must not fail again there.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return BROKEN_PIPE
     except OSError as error:

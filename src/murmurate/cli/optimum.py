@@ -95,7 +95,7 @@ def _flaw(one: Formation) -> str:
 def _print_comparison(config: OptimumConfig, best: Formation) -> None:
     """Says how the best one stands beside what is proved and what is known."""
     from murmurate.analysis.optimum import bounds
-    from murmurate.analysis.optimum.best_known import BEATS, best_known
+    from murmurate.analysis.optimum.best_known import RECORD_MARGIN, best_known
     from murmurate.geometry import smallest_ring
 
     target, sizes = config.target, config.world
@@ -106,9 +106,9 @@ def _print_comparison(config: OptimumConfig, best: Formation) -> None:
     known = best_known(target)
     if known is None:
         print("best known: none for these sizes")
-    elif best.value > known + BEATS:
+    elif best.value > known + RECORD_MARGIN:
         print(f"best known: {known:.7f}; this one is better")
-    elif best.value < known - BEATS:
+    elif best.value < known - RECORD_MARGIN:
         print(f"best known: {known:.7f}; this one is {known - best.value:.2g} short of it")
     else:
         print(f"best known: {known:.7f}; this one equals it")

@@ -9,7 +9,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from murmurate import prng
 from murmurate.errors import GREATEST, MOST, check_number
@@ -128,7 +128,7 @@ class Cascade(eqx.Module):
 
 @eqx.filter_jit
 def _begin(
-    cascade: Cascade, positions: Float[Array, "robots 2 batch"], seed: Int[Array, ""]
+    cascade: Cascade, positions: Float[Array, "robots 2 batch"], seed: UInt32[Array, ""]
 ) -> tuple[_Status, tuple[Array, Any]]:
     batch = positions.shape[-1]
     zero, false = jnp.zeros(batch, jnp.int32), jnp.zeros(batch, bool)

@@ -144,7 +144,7 @@ class Search:
         return Snapshot(policies=policies, sigma=sigma, valid=valid, train=None, finished=finished)
 
     @cached_property
-    def _first_sigmas(self) -> tuple[Float[Array, "sigma robots 2"], ...]:
+    def _first_sigmas(self) -> tuple[Float[Array, "_ _ 2"], ...]:
         # Drawn only when it is trained from; with its numbers even where only shapes are asked for, as they are kept.
         with jax.ensure_compile_time_eval():
             return tuple(map(_initial_sigma, self.curriculum.parts, self.part_worlds))

@@ -92,7 +92,7 @@ class Stage:
         curriculum: Curriculum,
         index: int,
         starts: Sequence[Start],
-        sigmas: Sequence[Float[Array, "sigma robots 2"]],
+        sigmas: Sequence[Float[Array, "_ _ 2"]],
     ) -> None:
         self.curriculum, self.index = curriculum, index
         self.config = curriculum.problem.stage(index)

@@ -1,15 +1,16 @@
-r"""When two configurations are the same pattern: alike up to moving, turning, relabelling, and scaling or mirroring.
+r"""Distance of two configurations as patterns: up to translation, rotation, relabelling, scaling and reflection.
 
 Configurations are centred, and for `scaling` brought to a root mean square radius of 1. As complex numbers p and q
 their distance is then
 
     d(p, q)^2 = min over angles a and relabellings s of the mean of |p_i - exp(ia) q_s(i)|^2,
 
-with the mirror image of q tried as well for `reflection`. Moving, turning, relabelling and mirroring keep distances, so
-d is a metric on patterns. It is found exactly, for symmetric patterns too: in any one direction the best relabelling is
-a linear assignment, and few directions need be looked at (`_best`).
+with the mirror image of q tried as well for `reflection`. These operations keep distances, so d is a metric on
+patterns. It is computed exactly, for symmetric patterns too: in any one direction the best relabelling is a linear
+assignment, and few directions need to be examined (`_best`).
 
-NumPy and SciPy, in float64: patterns are compared by the hundred, not by the million.
+Configurations are compared one pair at a time, `(robots, 2)`, in float64 by NumPy and SciPy: patterns are compared by
+the hundred, not by the million.
 """
 
 from __future__ import annotations
@@ -28,19 +29,19 @@ from murmurate.errors import InputError
 __all__ = ["Match", "align", "configuration", "distance", "lower_bound", "profile"]
 
 ROUNDING = 1e-14
-"""Differences of overlaps that are only rounding, relative to the sum of all products."""
+"""Differences of overlaps that count as rounding, relative to the sum of all products."""
 
 Points = Float[np.ndarray, "robots 2"]
 
 
 class Match(NamedTuple):
-    """How one configuration is laid onto another.
+    """The best superposition of one configuration on another.
 
     Attributes:
-        distance: Root mean square distance of the robots laid onto each other.
-        angle: By how much the second one is turned, after mirroring.
+        distance: Root mean square distance of the matched robots.
+        angle: Rotation of the second configuration, after mirroring, radians.
         mirrored: Whether it is mirrored (y to -y).
-        order: Its robot for each robot of the first.
+        order: The robot of the second configuration that is matched with each robot of the first.
     """
 
     distance: float
@@ -49,11 +50,11 @@ class Match(NamedTuple):
     order: Int[np.ndarray, " robots"]
 
 
-def configuration(positions: Points) -> Points:
-    """Returns a configuration in float64.
+def configuration(positions: Any) -> Points:
+    """Returns one configuration, checked, in float64.
 
     Raises:
-        InputError: It is no configuration of finite numbers.
+        InputError: The positions are not finite numbers of shape (robots, 2).
     """
     allowed = "finite numbers of shape (robots, 2)"
     try:
@@ -66,11 +67,11 @@ def configuration(positions: Points) -> Points:
     return points.astype(float)
 
 
-def normalized(positions: Points, scaling: bool = True) -> Complex[np.ndarray, " robots"]:
+def normalized(positions: Any, scaling: bool = True) -> Complex[np.ndarray, " robots"]:
     """Returns a configuration as complex numbers around its centroid, with unit root mean square radius for `scaling`.
 
     Raises:
-        InputError: It is no configuration of finite numbers.
+        InputError: The positions are not finite numbers of shape (robots, 2).
     """
     points = configuration(positions)
     # Scaled down before centring, so that huge coordinates do not overflow when squared.
@@ -87,43 +88,43 @@ def normalized(positions: Points, scaling: bool = True) -> Complex[np.ndarray, "
 def distance(
     first: Points, second: Points, *, scaling: bool = True, reflection: bool = True, limit: float = math.inf
 ) -> float:
-    """Measures how far two configurations are from being the same pattern.
+    """Returns the distance of two configurations as patterns; 0 for the same pattern.
 
     Args:
         first: Centres of the robots, world units.
-        second: The other's; as many.
-        scaling: Whether size does not matter; the distance is then in root mean square radii, else in world units.
-        reflection: Whether mirror images are the same pattern.
-        limit: The greatest distance of interest: the search for the best way ends once it is known to be beyond.
+        second: Centres of as many other robots, world units.
+        scaling: Ignore size: the distance is then in root mean square radii, otherwise in world units.
+        reflection: Count mirror images as the same pattern.
+        limit: Greatest distance of interest: the search ends once the distance is known to be beyond it.
 
     Returns:
-        The root mean square distance of the robots, laid onto each other in the best way; inf beyond the limit.
+        The root mean square distance of the robots in the best superposition; inf beyond the limit.
 
     Raises:
         InputError: The swarms differ in number, or a position is not finite.
     """
     p, q = _pair(first, second, scaling)
-    found = _nearest(p, q, reflection, limit).distance
-    return found if found <= limit else math.inf
+    nearest = _nearest(p, q, reflection, limit).distance
+    return nearest if nearest <= limit else math.inf
 
 
 def align(first: Points, second: Points, *, scaling: bool = True, reflection: bool = True) -> Match:
-    """Finds the best way to lay one configuration onto another; see `distance`."""
+    """Returns the best superposition of one configuration on another; for the arguments see `distance`."""
     return _nearest(*_pair(first, second, scaling), reflection)
 
 
 def lower_bound(first: Points, second: Points, *, scaling: bool = True) -> float:
-    """Returns a number that `distance` is never below, from the robots' distances to the centroid alone: fast."""
+    """Returns a fast lower bound on `distance`, from the robots' distances to the centroid alone."""
     p, q = (np.sort(np.abs(z)) for z in _pair(first, second, scaling))
     return float(np.sqrt(np.mean((p - q) ** 2)))
 
 
 def profile(positions: Points, *, scaling: bool = True) -> Float[np.ndarray, " robots"]:
-    """Returns the robots' distances to the centroid in order: two root mean square apart by their `lower_bound`."""
+    """Returns the sorted distances to the centroid; `lower_bound` is the root mean square difference of two."""
     return np.sort(np.abs(normalized(positions, scaling)))
 
 
-def _pair(first: Points, second: Points, scaling: bool) -> tuple[Any, Any]:
+def _pair(first: Any, second: Any, scaling: bool) -> tuple[Any, Any]:
     p, q = normalized(first, scaling), normalized(second, scaling)
     if len(p) != len(q):
         raise InputError("second", f"{len(q)} robots", f"{len(p)} robots, as the first")
@@ -131,7 +132,7 @@ def _pair(first: Points, second: Points, scaling: bool) -> tuple[Any, Any]:
 
 
 class _Arc(NamedTuple):
-    """Directions between two in which the farthest overlaps are known; heapq takes the highest bound first."""
+    """The directions between two for which the farthest overlaps are known; heapq takes the highest bound first."""
 
     minus_bound: float
     begin: float
@@ -141,7 +142,7 @@ class _Arc(NamedTuple):
 
 
 def _arc(begin: float, first: complex, end: float, second: complex) -> _Arc:
-    """Bounds |c| between two directions: no c lies beyond the corner of the two supporting lines."""
+    """Returns the arc between two directions: no c between them lies beyond the corner of the two supporting lines."""
     apart = cmath.exp(1j * (begin - end)).conjugate().imag
     heights = ((first * cmath.exp(-1j * begin)).real, (second * cmath.exp(-1j * end)).real)
     corner = 1j * (heights[0] * cmath.exp(1j * end) - heights[1] * cmath.exp(1j * begin)) / -apart
@@ -149,7 +150,7 @@ def _arc(begin: float, first: complex, end: float, second: complex) -> _Arc:
 
 
 def _nearest(p: Any, q: Any, reflection: bool, limit: float = math.inf) -> Match:
-    """Lays q onto p, mirrored for `reflection` if that is better; not in the best way if that is beyond the limit."""
+    """Returns the best superposition of q on p, or any if the best is beyond the limit."""
     match = _best(p, q, False, limit)
     if reflection:
         image = _best(p, q.conj(), True, min(limit, match.distance))
@@ -158,12 +159,12 @@ def _nearest(p: Any, q: Any, reflection: bool, limit: float = math.inf) -> Match
 
 
 def _best(p: Any, q: Any, mirrored: bool, limit: float) -> Match:
-    """Turns and relabels q so that it overlaps p best, or in any way if none brings it within the limit.
+    """Returns the best rotation and relabelling of q on p, or any if the best is beyond the limit.
 
-    A relabelling s overlaps by c(s) = mean of p_i conj(q_s(i)), best when q is turned by the argument of c(s): then by
-    |c(s)|. A linear assignment finds the c(s) farthest in any one direction: a corner of the convex hull of all of
-    them. The farthest from 0 is a corner as well, so corners are found between those that are known, first where
-    their supporting lines leave room for the farthest.
+    A relabelling s has the overlap c(s) = mean of p_i conj(q_s(i)). It is best when q is rotated by the argument of
+    c(s): the overlap is then |c(s)|. A linear assignment gives the c(s) farthest in any one direction, which is a
+    corner of the convex hull of all c(s). The c(s) farthest from 0 is a corner as well. So further corners are computed
+    between known ones, first where their supporting lines leave room for the farthest.
     """
     # |p - q|^2 = |p|^2 + |q|^2 - 2 |c|: a shorter c is beyond the limit.
     least = (np.mean(np.abs(p) ** 2) + np.mean(np.abs(q) ** 2) - limit**2) / 2

@@ -302,8 +302,8 @@ class GatheringVectorEnv(VectorEnv[Any, Float[np.ndarray, "envs robots 2"], np.n
     def _final(self, ended: Flags) -> dict[str, Any]:
         """Returns the observations and infos of the episodes that have ended."""
         observed, observations = self._episodes.observation, np.full(self.num_envs, None, object)
-        for index in np.flatnonzero(ended):
-            observations[index] = _member(observed, int(index))
+        for index in np.flatnonzero(ended).tolist():
+            observations[index] = _member(observed, index)
         return {
             "final_obs": observations,
             "_final_obs": ended.copy(),

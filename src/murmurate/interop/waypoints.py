@@ -72,8 +72,8 @@ class Waypoints:
     experiment: ExperimentConfig
     scale: Scale
     episodes: tuple[int, ...]
-    times: tuple[Float[np.ndarray, " waypoints"], ...]
-    positions: tuple[Float[np.ndarray, "waypoints robots 2"], ...]
+    times: tuple[Float[np.ndarray, " _"], ...]
+    positions: tuple[Float[np.ndarray, "_ robots 2"], ...]
     left_out: tuple[int, ...]
 
     @classmethod

@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float
 __all__ = ["generalized_advantage", "rewards_to_go"]
 
 Trajectories = Float[Array, "time *batch"]
-Flags = Bool[Array, "time *batch"]
+Flags = Bool[Array, "time *#batch"]
 
 
 def generalized_advantage(
@@ -51,7 +51,7 @@ def rewards_to_go(reward: Trajectories, next_value: Trajectories, terminated: Fl
     return _backward_sum(reward + next_value * cut, carry_on)
 
 
-def _backward_sum(term: Trajectories, carry_on: Trajectories) -> Trajectories:
+def _backward_sum(term: Trajectories, carry_on: Float[Array, "time *#batch"]) -> Trajectories:
     def back(later: Array, now: tuple[Array, Array]) -> tuple[Array, Array]:
         total = now[0] + now[1] * later
         return total, total

@@ -45,7 +45,7 @@ class Rollout(eqx.Module):
     observation: Any
     next_observation: Any
     action: Any
-    log_prob: Float[Array, "time actions batch"]
+    log_prob: Float[Array, "*time actions batch"]
     transition: Any
 
 

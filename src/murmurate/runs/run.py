@@ -186,7 +186,7 @@ class Run:
         return plots.Recording(self.experiment, self.rollout(PICTURE_EPISODES))._repr_png_()
 
 
-def check_draw(episodes: int, key: int | PRNGKeyArray) -> None:
+def check_draw(episodes: object, key: object) -> None:
     """Checks a number of episodes and the seed of their random numbers.
 
     Raises:

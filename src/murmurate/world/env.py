@@ -150,7 +150,7 @@ class World(eqx.Module):
         after = State(positions, step, objective, potential)
         return after, Transition(reward, terminated, truncated, signals, credit)
 
-    def observe(self, state: State) -> Any:
+    def observe(self, state: State | WrappedState) -> Any:
         """Returns the positions: the paper's policy sees all of them."""
         return state.positions
 

@@ -1,6 +1,6 @@
-"""Simulated annealing over configurations: many chains at once, no robots that move, no way there.
+"""Simulated annealing over configurations, in many chains at once: a rough, global search.
 
-The search is rough and global; `murmurate.analysis.optimum.polish` makes what it finds exact.
+It searches configurations alone, without policies or motion. `polish` makes its results exact.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ __all__ = ["AnnealingConfig", "anneal"]
 Score = Callable[[Float[Array, "robots 2 chains"]], Float[Array, " chains"]]
 
 MAX_CHAINS, MAX_MOVES_PER_ROBOT = 100_000, 1_000_000
-"""So that all chains fit in memory, and moves can be counted in 32 bits."""
+"""Limits within which all chains fit in memory and moves can be counted in 32 bits."""
 
 
 @dataclass(frozen=True)
 class AnnealingConfig:
-    """Numbers of the search.
+    """The numbers of simulated annealing.
 
     Attributes:
-        chains: How many searches run side by side.
+        chains: Number of independent searches that run side by side.
         moves_per_robot: Moves that each chain tries for each robot.
         t_start: Temperature at the beginning, in units of the objective.
         t_end: Temperature at the end.
@@ -74,24 +74,24 @@ def anneal(
     seed: int,
     config: AnnealingConfig,
 ) -> Float[np.ndarray, "chains robots 2"]:
-    """Searches for configurations of high score.
+    """Returns configurations of high score, found by simulated annealing.
 
     Args:
-        score: What is sought, of a batch of configurations.
+        score: Returns the score of each configuration of a batch; the batch is last.
         robots: Swarm size.
         radius: The paper's R_bot; robots never overlap.
-        safe_distance: The paper's delta_s: the unit of length of the moves.
-        bounds: X and Y of the world, which nobody leaves.
+        safe_distance: The paper's delta_s, the unit of length of the moves.
+        bounds: X and Y of the world, which no robot leaves.
         seed: Seed of the search.
-        config: Numbers of the search.
+        config: The numbers of simulated annealing.
 
     Returns:
-        Where each chain ended, best first.
+        The last configuration of each chain, best first.
     """
     key = jax.random.key(seed)
-    found = _anneal(score, robots, radius, safe_distance, bounds, key, config)
-    order = np.argsort(-np.asarray(found.score), kind="stable")
-    return np.moveaxis(np.asarray(found.positions, float), -1, 0)[order]
+    chains = _anneal(score, robots, radius, safe_distance, bounds, key, config)
+    order = np.argsort(-np.asarray(chains.score), kind="stable")
+    return np.moveaxis(np.asarray(chains.positions, float), -1, 0)[order]
 
 
 @eqx.filter_jit
@@ -107,7 +107,7 @@ def _anneal(
     begin, draws = jax.random.split(key)
     moves = config.moves_per_robot * robots
     edge = jnp.asarray(bounds)[None, :, None]
-    # A triangular lattice of that many robots, loosened: the room in which a robot may be put down again.
+    # Teleported robots land in a square a little wider than a triangular lattice of as many robots.
     room = jnp.minimum(safe_distance * math.sqrt(robots), edge)
     pairs = ~jnp.eye(robots, dtype=bool)[..., None]
 
@@ -133,7 +133,7 @@ def _anneal(
             score=jnp.where(accepted, value, chains.score),
         )
 
-    # On a wide circle nobody overlaps and everyone sees everyone; heat does the rest.
+    # Chains begin on a wide circle, on which no discs overlap and all robots see each other.
     wide = jnp.minimum(safe_distance * robots / 2, edge.min())
     turn = 2 * jnp.pi * jax.random.uniform(begin, (1, config.chains))
     angles = 2 * jnp.pi * jnp.arange(robots)[:, None] / robots + turn

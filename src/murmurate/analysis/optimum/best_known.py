@@ -1,6 +1,6 @@
-"""The best-known patterns: a small table in the package, measured anew by the exact kernels whenever it is asked.
+"""The best-known patterns: a table in the package, whose values are computed again from the positions when it is read.
 
-`make optima` searches again and writes the table; docs/patterns.md shows it, with what is proved.
+`make optima` searches again and writes the table; docs/patterns.md explains it, and what is proved.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ __all__ = ["TABLE", "BestKnown", "best_known", "is_record", "load", "to_json"]
 
 TABLE = "best_known.json"
 
-BEATS = 1e-6
-"""A record is better by more than this: what is reached is recorded in float32."""
+RECORD_MARGIN = 1e-6
+"""A record is better by more than this, since runs record positions in float32."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,8 +44,8 @@ class BestKnown:
         value: The objective, all weights 1.
         signals: Its signals by name.
         positions: Centres, world units.
-        command: What made it.
-        hop: What basin hopping reached, the check by another method; None where it was not tried.
+        command: The command that known it.
+        hop: The value that basin hopping reached, a check by another method; None where it was not tried.
     """
 
     robots: int
@@ -65,7 +65,7 @@ class BestKnown:
     def from_target(
         cls, target: Target, positions: Float[np.ndarray, "robots 2"], command: str, hop: float | None = None
     ) -> BestKnown:
-        """Makes an entry of a pattern."""
+        """Returns the entry of a pattern."""
         sizes = {name: getattr(target.world, name) for name in _SIZES}
         return cls(
             objective=target.objective,
@@ -79,10 +79,10 @@ class BestKnown:
 
     @classmethod
     def from_dict(cls, entry: Any) -> BestKnown:
-        """Reads an entry, and measures it again.
+        """Reads an entry and computes its values again.
 
         Raises:
-            InputError: It is none, or its value is not what its positions have.
+            InputError: A field is missing or unknown, or a value is not that of the positions.
         """
         names = {field.name for field in dataclasses.fields(cls)}
         if not isinstance(entry, dict) or set(entry) != names:
@@ -94,22 +94,24 @@ class BestKnown:
             positions = np.empty(0)
         if positions.shape != (entry["robots"], 2) or not np.isfinite(positions).all():
             raise InputError("positions", positions.shape, f"finite numbers of shape ({entry['robots']}, 2)")
-        found = cls(**{**entry, "positions": positions})
-        if not isinstance(found.value, float) or abs(found.target.value(positions) - found.value) > 1e-12:
-            raise InputError("value", found.value, f"{found.target.value(positions)!r}, as its positions have")
-        measured = _measured(found.target, positions)
-        given = found.signals if isinstance(found.signals, dict) else {}
+        if not isinstance(entry["signals"], dict):
+            raise InputError("signals", entry["signals"], "an object with the signals by name")
+        known = cls(**{**entry, "positions": positions})
+        if not isinstance(known.value, float) or abs(known.target.value(positions) - known.value) > 1e-12:
+            raise InputError("value", known.value, f"{known.target.value(positions)!r}, as its positions have")
+        measured = _measured(known.target, positions)
+        given = known.signals
         if given.keys() != measured.keys() or any(abs(given[name] - measured[name]) > 1e-8 for name in given):
-            raise InputError("signals", found.signals, f"{measured}, as its positions have")
-        return found
+            raise InputError("signals", known.signals, f"{measured}, as its positions have")
+        return known
 
     @property
     def target(self) -> Target:
-        """What the entry is best for."""
+        """The objective that the entry is best for, in its world."""
         return Target(WorldConfig(**{name: getattr(self, name) for name in _SIZES}), self.objective)
 
     def to_dict(self) -> dict[str, Any]:
-        """Returns the entry as JSON has it."""
+        """Returns the entry as a dictionary for JSON."""
         return {field.name: getattr(self, field.name) for field in dataclasses.fields(self)} | {
             "positions": self.positions.tolist()
         }
@@ -120,7 +122,7 @@ class BestKnown:
 
 
 def _measured(target: Target, positions: Float[np.ndarray, "robots 2"]) -> dict[str, float]:
-    """Returns the signals, rounded: the last bits are not the same on every machine."""
+    """Returns the signals, rounded, since their last bits differ between machines."""
     signals = target.signals(np.asarray(positions, float))
     return {name: round(float(value), 9) for name, value in signals.items()}
 
@@ -136,7 +138,7 @@ def load() -> tuple[BestKnown, ...]:
 
 
 def to_json(entries: Iterable[BestKnown]) -> str:
-    """Writes entries as `load` reads them: one line each."""
+    """Returns entries as text that `load` reads, one line each."""
     lines = ",\n".join(json.dumps(entry.to_dict(), allow_nan=False) for entry in entries)
     return f"[\n{lines}\n]\n"
 
@@ -148,7 +150,7 @@ def best_known(target: Target) -> float | None:
         target: The world and the objective; all weights 1 and the `penalty` reading of safety, like the table.
 
     Returns:
-        None where nothing is known: for other weights, and for sizes that are in no entry's proportions.
+        The objective; None for other weights, and for sizes whose proportions no entry has.
     """
     world = target.world
     if any(target.weight(name) != 1 for name in OBJECTIVES[target.objective]) or world.safety != "penalty":
@@ -165,6 +167,6 @@ def best_known(target: Target) -> float | None:
 
 
 def is_record(target: Target, value: float) -> bool:
-    """Says whether a valid pattern's objective beats the best known one."""
+    """Returns whether the objective of a valid pattern is better than the best known one."""
     known = best_known(target)
-    return known is not None and value > known + BEATS
+    return known is not None and value > known + RECORD_MARGIN

@@ -1,4 +1,4 @@
-"""What a formation is measured by, robots at rest: signals, objective, and whether it is a valid pattern."""
+"""The target of a search: the signals, the objective and the validity of a formation of robots at rest."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from murmurate.errors import check_choice
-from murmurate.geometry import distances, neighbors_and_visible
+from murmurate.geometry import _batch_last
 from murmurate.world import OBJECTIVES, Configuration, Objective, WorldConfig, objective_signals
 
 __all__ = ["Target"]
@@ -20,10 +20,10 @@ Points = Float[np.ndarray, "robots 2"]
 
 @dataclass(frozen=True)
 class Target:
-    """An objective of the paper in a world: what formations are compared by.
+    """An objective of the paper in a world, by which formations are compared.
 
     Attributes:
-        world: Sizes.
+        world: Sizes of the world and its robots.
         objective: C1 (gathering at the origin) or C2 (at no predefined point).
         weights: Weights of the signals by name, gathering for close or nclose; the paper's are all 1.
     """
@@ -67,8 +67,8 @@ class Target:
         """Returns whether a configuration at rest is a valid pattern: gathered, mutually visible, safe and inside."""
         world, positions = self.world, np.asarray(positions, float)
         other = ~np.eye(len(positions), dtype=bool)
-        near, seen = neighbors_and_visible(positions, world.radius, world.scan_radius)
-        safe = distances(positions) >= world.safe_distance
+        near, seen = _batch_last.neighbors_and_visible(positions, world.radius, world.scan_radius)
+        safe = _batch_last.distances(positions) >= world.safe_distance
         inside = np.abs(positions) <= np.array([world.half_width, world.half_height])
         return bool((near & seen & safe)[other].all() and inside.all())
 

@@ -1,8 +1,8 @@
-"""How good can a formation be? A global search over configurations: no robots, no motion, only the objective.
+"""Global search for the best formations: over configurations alone, without policies or motion.
 
-Annealing finds the right neighbourhoods (`annealing`), as do rings with a few robots inside, and a local search under
-the exact constraints ends in their optima (`polish`). SciPy's basin hopping, which shares only the local search, checks
-the result (`hop`).
+Annealing (`annealing`) and rings with a few robots inside give the starting points. A local search under the exact
+constraints (`polish`) leads from each to its local optimum. SciPy's basin hopping, which shares only the local search,
+checks the result (`hop`).
 """
 
 from __future__ import annotations
@@ -26,26 +26,26 @@ from murmurate.world import WorldConfig
 
 __all__ = ["Formation", "OptimumConfig", "annealed", "distinct", "hop", "search"]
 
-REQUIRED = 100.0
-"""Weight of what a valid pattern needs, against gathering: then no chain ever gives any of it up."""
+VALIDITY_WEIGHT = 100.0
+"""Weight, relative to gathering, of what a valid pattern requires: so high that no chain trades any of it."""
 
-SAME = 1e-4
-"""Local optima nearer than this, in safe distances, are one and the same."""
+DUPLICATE_TOLERANCE = 1e-4
+"""Local optima nearer to each other than this, in safe distances, count as the same."""
 
 
 @dataclass(frozen=True)
 class OptimumConfig:
-    """What to search for, and how.
+    """The configuration of a search for the best formations.
 
     Attributes:
-        world: Sizes.
+        world: Sizes of the world and its robots.
         objective: C1 (gathering at the origin) or C2 (at no predefined point).
         weights: Weights of the objective's signals.
-        annealing: Numbers of the annealing.
-        only_valid: Whether only valid patterns are of interest; otherwise the objective alone decides, which may give
-            up the sight of a pair for nearness.
-        polished: How many of the best chains are polished; 0: no annealing, only rings with robots inside.
-        hops: Rounds of basin hopping, which check the result by another method; 0: no check.
+        annealing: The numbers of simulated annealing.
+        only_valid: Search for valid patterns only; otherwise the objective alone decides, which may trade the
+            visibility of a pair for nearness.
+        polished: How many of the best chains are polished; 0: no annealing, only rings.
+        hops: Rounds of basin hopping, which checks the result by another method; 0: no check.
         seed: Seed of the search.
     """
 
@@ -68,18 +68,18 @@ class OptimumConfig:
 
     @property
     def target(self) -> Target:
-        """By what formations are compared."""
+        """The objective that formations are compared by."""
         return Target(self.world, self.objective, self.weights)
 
 
 @dataclass(frozen=True, eq=False)
 class Formation:
-    """One configuration that a search ended in.
+    """A configuration that a search ended in.
 
     Attributes:
         positions: Centres, world units.
-        value: The target's objective.
-        valid: Whether it would be a valid pattern.
+        value: Its objective.
+        valid: Whether it is a valid pattern.
     """
 
     positions: Float[np.ndarray, "robots 2"]
@@ -88,28 +88,28 @@ class Formation:
 
     @classmethod
     def from_positions(cls, positions: Float[np.ndarray, "robots 2"], target: Target) -> Formation:
-        """Measures a configuration."""
+        """Returns a configuration with its objective and validity."""
         return cls(positions, target.value(positions), target.is_valid(positions))
 
 
 def search(config: OptimumConfig) -> list[Formation]:
-    """Searches for the best formations by annealing and polishing.
+    """Returns the best formations that annealing and polishing find.
 
     Returns:
-        Distinct local optima, best first; with `only_valid`, those that are no valid patterns come last.
+        Distinct local optima, best first; with `only_valid`, those that are not valid patterns come last.
     """
     target = config.target
     wide = _without_limits(target)
     rings = [polish(polish(positions, wide), target) for positions in nested_rings(wide)]
-    found = [Formation.from_positions(positions, target) for positions in rings] + annealed(config)
-    return distinct(found, config.world.safe_distance, config.only_valid)
+    formations = [Formation.from_positions(positions, target) for positions in rings] + annealed(config)
+    return distinct(formations, config.world.safe_distance, config.only_valid)
 
 
 def annealed(config: OptimumConfig) -> list[Formation]:
-    """Searches by annealing alone, without any start that is made by hand.
+    """Returns the formations that annealing alone finds, without rings as starting points.
 
     Returns:
-        The polished ends of the best chains, as many as `config.polished`, alike ones among them.
+        The polished ends of the best chains, as many as `config.polished`, with duplicates.
     """
     target, world = config.target, config.world
     if not config.polished:
@@ -127,10 +127,10 @@ def annealed(config: OptimumConfig) -> list[Formation]:
 
 
 def nested_rings(target: Target) -> Iterator[Float[np.ndarray, "robots 2"]]:
-    """Yields rings with none, one, two, three or four robots inside, wide enough to be valid patterns.
+    """Yields rings with none to four robots inside, wide enough to be valid patterns.
 
-    Also rings with one place left empty: around one robot in the middle, an odd number of places leaves everyone in
-    sight where an even one does not.
+    Rings have all places taken, or one empty: around a robot in the middle, all robots see each other on a ring with an
+    odd number of places, but not on one with an even number.
     """
     robots = target.world.robots
     for inside, empty in itertools.product(range(min(5, robots - 2)), (0, 1)):
@@ -146,13 +146,10 @@ def nested_rings(target: Target) -> Iterator[Float[np.ndarray, "robots 2"]]:
 
 
 def hop(config: OptimumConfig) -> Formation:
-    """Searches by SciPy's basin hopping from the regular ring: a check of `search` by another method.
+    """Returns the best formation that SciPy's basin hopping from the regular ring finds: a check of `search`.
 
-    One robot is put elsewhere, everybody is displaced a little, all are moved apart until they are a valid pattern
-    again, and that is polished; Metropolis' rule decides whether it stays. So it goes `config.hops` times.
-
-    Returns:
-        The best formation met.
+    Each of `config.hops` rounds puts one robot elsewhere, displaces all a little, moves them apart until they are a
+    valid pattern again, and polishes the result. Metropolis' rule decides whether it is accepted.
     """
     target, world = config.target, config.world
     shape, rng = (world.robots, 2), np.random.default_rng(config.seed)
@@ -167,10 +164,10 @@ def hop(config: OptimumConfig) -> Formation:
     def descend(_: Any, flat: Float[np.ndarray, " coordinates"], **__: Any) -> OptimizeResult:
         polished = polish(_apart(flat.reshape(shape), wide), wide)
         lost = config.only_valid and not target.is_valid(polished)
-        loss = (REQUIRED if lost else 0.0) - target.value(polished)
+        loss = (VALIDITY_WEIGHT if lost else 0.0) - target.value(polished)
         return OptimizeResult(x=polished.ravel(), fun=loss, success=True)
 
-    found = basinhopping(
+    solution = basinhopping(
         lambda flat: -target.value(flat.reshape(shape)),
         smallest_ring(world.robots, world.radius, world.safe_distance).positions.ravel(),
         niter=config.hops,
@@ -179,45 +176,46 @@ def hop(config: OptimumConfig) -> Formation:
         minimizer_kwargs={"method": descend},
         rng=rng,
     )
-    return Formation.from_positions(found.x.reshape(shape), target)
+    return Formation.from_positions(solution.x.reshape(shape), target)
 
 
 def distinct(formations: Sequence[Formation], unit: float, only_valid: bool = True) -> list[Formation]:
-    """Orders formations, best first, and keeps one of each that differ by more than `SAME`."""
-    ordered = sorted(formations, key=lambda one: (only_valid and not one.valid, -one.value))
-    kept: list[Formation] = []
-    for one in ordered:
-        near = (other for other in kept if abs(other.value - one.value) < SAME)
-        if all(similarity.distance(one.positions, other.positions, scaling=False) > SAME * unit for other in near):
-            kept.append(one)
-    return kept
+    """Returns formations, best first, without those nearer than `DUPLICATE_TOLERANCE` to a better one."""
+    ordered = sorted(formations, key=lambda formation: (only_valid and not formation.valid, -formation.value))
+    unique: list[Formation] = []
+    for formation in ordered:
+        near = (other.positions for other in unique if abs(other.value - formation.value) < DUPLICATE_TOLERANCE)
+        distances = (similarity.distance(formation.positions, other, scaling=False) for other in near)
+        if all(distance > DUPLICATE_TOLERANCE * unit for distance in distances):
+            unique.append(formation)
+    return unique
 
 
 def _score(target: Target, only_valid: bool) -> Any:
-    """Returns what the annealing climbs: the objective, or gathering above all that a valid pattern needs."""
+    """Returns the score of annealing: the objective, or gathering with heavy penalties for what is not valid."""
     world = target.world
     if not only_valid:
         return target.score_batch_last
-    weights = {"gathering": 1.0, "safety": REQUIRED, "neighbors": 0.0, "visible": REQUIRED}
+    weights = {"gathering": 1.0, "safety": VALIDITY_WEIGHT, "neighbors": 0.0, "visible": VALIDITY_WEIGHT}
     required = replace(target, weights=weights)
 
     def score(positions: Any) -> Any:
-        # How far beyond scanning distance, instead of how many: the signal alone would not say which way is better.
+        # The distance beyond the scan radius, not the number of pairs: the signal itself has no slope.
         beyond = _batch_last.distances(positions) - world.scan_radius
         far = (beyond * (beyond > 0)).sum(axis=(0, 1)) / (world.safe_distance * world.robots)
-        return required.score_batch_last(positions) - REQUIRED * far
+        return required.score_batch_last(positions) - VALIDITY_WEIGHT * far
 
     return score
 
 
 def _without_limits(target: Target) -> Target:
-    """Returns the target in a world where nobody minds distance: neither the scan radius nor the edge of the world."""
+    """Returns the target in a world so large that neither its edge nor the scan radius limits anything."""
     far = {name: 10 * getattr(target.world, name) for name in ("scan_radius", "half_width", "half_height")}
     return replace(target, world=replace(target.world, **far))
 
 
 def _apart(positions: Float[np.ndarray, "robots 2"], target: Target) -> Float[np.ndarray, "robots 2"]:
-    """Moves everybody apart until they are a valid pattern; gives up where that takes too much room."""
+    """Returns the configuration scaled up until it is a valid pattern, or by a factor of 18 if it never is."""
     for _ in range(60):
         if target.is_valid(positions):
             break

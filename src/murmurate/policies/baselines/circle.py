@@ -112,9 +112,9 @@ class CentralCircle(Baseline):
 
 
 def _assign_places(
-    positions: Float[np.ndarray, "robots 2 *batch"], radius: Float[np.ndarray, ""]
+    positions: Float[Array, "robots 2 *batch"], radius: Float[Array, ""]
 ) -> Float[np.ndarray, "robots 2 *batch"]:
-    """Returns each robot's place on a ring around the origin."""
+    """Returns each robot's place on a ring around the origin; JAX calls it on the host, with arrays of its own."""
     array = np.asarray(positions)
     points = array.astype(float)
     z = (points[:, 0] + 1j * points[:, 1]).reshape(len(points), -1)
