@@ -124,7 +124,7 @@ class Finding:
         """
         _check_fields(data, {field.name for field in dataclasses.fields(cls)}, where)
         try:
-            return cls(**data)
+            return cls(**{**data, "positions": configuration(data["positions"])})
         except InputError as error:
             raise InputError(f"{where}.{error.field}", error.value, error.allowed) from None
 
