@@ -6,13 +6,13 @@ python -m benchmarks.results [--runs runs] [--out docs] [--seeds 0 1 2] [--only-
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 
-import jax
 import numpy as np
 
 import murmurate
-from murmurate import plots
+from murmurate import plots, prng
 from murmurate.discovery import bound_steps, check_validity
 from murmurate.runs import comparison_page, table
 from murmurate.runs.evaluate import EPISODES
@@ -21,34 +21,59 @@ from murmurate.runs.grid import Grid
 from murmurate.runs.jobs import training_jobs
 from murmurate.runs.paper import EXPERIMENTS
 from murmurate.runs.run import Run
-from murmurate.world import StartConfig, draw_starts, make_start
+from murmurate.world import DistributedStart, PackedStart, ScatteredStart, Start, UniformStart, draw_starts
 
 POLICIES = ("equivariant", "central")
 
 # Every experiment's cascade is tried from every one of these; each experiment was trained on one of the layouts.
-OTHER_STARTS = {
-    "anywhere at random": StartConfig(kind="random"),
-    "scattered": StartConfig(kind="scattered"),
-    "two corners": StartConfig(kind="distributed"),
-    "one line": StartConfig(kind="packed"),
-    "two lines": StartConfig(kind="packed", lines=2),
-    "one line, noise R": StartConfig(kind="packed", noise=1.0),
+OTHER_STARTS: dict[str, Start] = {
+    "anywhere at random": UniformStart(),
+    "scattered": ScatteredStart(),
+    "two corners": DistributedStart(),
+    "one line": PackedStart(),
+    "two lines": PackedStart(lines=2),
+    "one line, noise R": PackedStart(noise=1.0),
 }
+
+COLUMNS = ("experiment", "seed", "valid", "base steps", "auxiliary steps", "total steps", "paper's total", "bound")
+COLUMNS += ("total / bound", "gap", "policies", "training")
+"""What of `table.RESULTS` the page shows; what holds in all runs is a sentence."""
 
 
 def other_starts(run: Run) -> list[str]:
     """Evaluates one run from every kind of start; returns the cells of a row."""
     world = run.experiment.world
     cells = []
-    for place, config in enumerate(OTHER_STARTS.values()):
-        key = jax.random.key(10_000 + place)
-        points = draw_starts(make_start(config, world), key, EPISODES)
-        ran = run.rollout(points)
-        validity = check_validity(ran, world)
-        bound = np.mean([bound_steps(a, b, world.max_speed) for a, b in zip(points, ran.final, strict=True)])
-        crashed = int((~validity.collision_free).sum())
-        cells.append(f"{int(validity.valid.sum())} ({crashed}) {ran.lengths.mean() / bound:.2f}")
+    for place, start in enumerate(OTHER_STARTS.values()):
+        points = draw_starts(start.prepare(world), prng.key(10_000 + place), EPISODES, world)
+        trajectories = run.rollout(points)
+        validity = check_validity(trajectories, world)
+        bound = np.mean([bound_steps(a, b, world.max_speed) for a, b in zip(points, trajectories.final, strict=True)])
+        failed = int((~(validity.contact_free & validity.inside)).sum())
+        cells.append(f"{int(validity.valid.sum())} ({failed}) {trajectories.lengths.mean() / bound:.2f}")
     return cells
+
+
+def results(rows: Sequence[Sequence[str]]) -> str:
+    """Returns a table for each policy, and what holds in all runs, from rows under `table.RESULTS`."""
+    records = [dict(zip(table.RESULTS, row, strict=True)) for row in rows]
+    parts = []
+    for policy in dict.fromkeys(record["policy"] for record in records):
+        chosen = [record for record in records if record["policy"] == policy]
+        cells = [tuple(_short(record[name]) for name in COLUMNS) for record in chosen]
+        parts.append(f"### Policy `{policy}`\n\n{table.as_markdown(COLUMNS, cells)}")
+    counts = {}
+    for name in ("contact-free", "inside", "at rest"):
+        pairs = [[int(number) for number in record[name].split(" of ")] for record in records]
+        good, total = map(sum, zip(*pairs, strict=True))
+        counts[name] = f"{name} {good:,} of {total:,}"
+    return "\n".join([f"Episodes of all runs: {', '.join(counts.values())}.\n", *parts])
+
+
+def _short(text: str) -> str:
+    """Shortens cells that would make the table wider than the page."""
+    printed = text.replace(" printed, ", "<br>(").replace(" summed", ")")
+    return printed.removesuffix(f" of {EPISODES}")
 
 
 def write(runs: list[Path], out: Path) -> None:
@@ -66,7 +91,7 @@ def write(runs: list[Path], out: Path) -> None:
     others = [(name, *other_starts(murmurate.load(folder))) for name, folder in zip(names, firsts, strict=True)]
     page = PAGE.format(
         machine=machine(runs[0]),
-        results=table.as_markdown(table.RESULTS, rows),
+        results=results(rows),
         others=table.as_markdown(("", *OTHER_STARTS), others),
         commands="`make results`",
     )
@@ -84,36 +109,47 @@ def machine(run: Path) -> str:
 
 PAGE = """# Results
 
-Made by {commands}, which trains experiments A-F with both policies and seeds 0, 1, 2 (what is finished is reused)
+What was measured, and the command that measures it again.
+
+## The paper's experiments
+
+Made by {commands}, which trains experiments A to F with both policies and seeds 0, 1, 2 (finished runs are reused)
 and writes this page. Versions: {machine}.
 
-Every row is one training with the default settings, evaluated greedily on 200 fresh starts with the paper's noise
-U(-2R, 2R), none of them seen in training. *Valid* needs all of: no contact at any moment of any step, nobody
-outside, at rest, all robots neighbours, all pairs mutually visible, no pair nearer than the safe distance. Steps are
-means over ALL episodes, valid or not. The *bound* is the fewest steps in which any controller gets from that start
-to that pattern. The *gap* is by how much the objective, mean of all episodes, is below that of the
-[best-known pattern](patterns.md), in percent of it. Row E of the paper's table prints a total that is not the sum of
-its parts; both are shown. Training seconds are of this page's runs: up to four processes side by side on two cores.
+Every row is one training with the default settings, evaluated on 200 fresh starts with the paper's noise
+$U(-2R, 2R)$; none of them was seen in training.
 
-Sums in floating point depend on the number of threads, and so do, a little, the policies that a seed ends in. Here the
-equivariant runs of A used two cores, all others were pinned to one each (`taskset -c 0`). On two cores, C with seed 0
-(`make discover`) is valid in 198 of 200, takes 89.8 steps and has a gap of 0.72%.
+- *Valid*, of 200: no contact at any moment, nobody outside, at rest, all robots neighbours, all pairs mutually visible,
+  no pair nearer than the safe distance.
+- Steps are means over all episodes, valid or not.
+- The *bound* is the fewest steps in which any controller gets from that start to that pattern.
+- The *gap* is how far the objective, mean of all episodes, is below that of the [best-known pattern](patterns.md), in
+  percent of it.
+- In row E of its table, the paper prints a total that is not the sum of its parts: 1168.83 printed, 745.27 summed.
+- Training seconds are those of these runs, up to four processes side by side on two cores.
 
-The [report](reproduction/report.md) that `murmurate reproduce --out docs/reproduction` writes holds the rows of seed 0
-beside the paper's tables and figures, and all of their numbers in [report.json](reproduction/report.json).
+**Your digits will differ.** Sums in floating point depend on the processor and on the number of threads, and training
+amplifies that. Compare ranges over seeds, not single numbers. Here the equivariant runs of A used two threads, all
+others were pinned to one core each (`taskset -c 0`). With two threads, C with seed 0 (`make discover`) was valid in 198
+of 200, took 89.8 steps and had a gap of 0.72%; on a second machine of the same kind it took 94.4 steps.
+
+The [report](reproduction/report.md) that `murmurate reproduce --out docs/reproduction` writes shows the rows of seed 0
+beside the paper's tables and figures, and has all of their numbers in [report.json](reproduction/report.json).
 
 {results}
 ![The patterns that the equivariant policy found in experiments A to F](figures/patterns.png)
 
-The colour of a path names the active policy: blue for the base policy, green for the auxiliary one, pink for a third.
+The colour of a path is that of the active policy: blue for the base policy, green for an auxiliary one, pink
+for a third.
 
 ## Other starts
 
-The equivariant runs of seed 0, 200 starts a cell: valid of 200, (episodes with a collision or an exit), steps over
+The equivariant runs of seed 0, 200 starts for each cell: valid of 200, (episodes with a contact or an exit), steps over
 bound. The column of an experiment's own start repeats the table above with other random numbers; the other layouts
-were never trained on. About half of the base policy's training begins anywhere, but mostly more crowded than here. The
-equivariant policy is blind to place, so to walls: from a corner, a swarm that is nearer than its safe distance may
-leave the world. What fails otherwise is one robot that stays inside, in line with two others.
+were never trained on. About half of the base policy's training begins anywhere, but mostly more crowded than here.
+The equivariant policy does not know where it is, so it does not know the walls: from a corner, a swarm that is
+nearer than its safe distance may leave the world. The other failures have one robot that stays inside, in line with
+two others.
 
 {others}
 ![Experiment C: start, base pattern, final pattern, training, one episode](figures/discovery-C.png)

@@ -156,20 +156,21 @@ def picture(pattern: PatternClass, found: int) -> plots.PlatePattern:
 
 PAGE = """# Discoveries
 
-What {seeds} seeds of each experiment discover, and which of it a search that never moves a robot does not find. Made by
-`make seeds`, which trains what is missing and writes this page.
+The patterns that {seeds} seeds of each experiment discover, beside those that simulated annealing finds among
+configurations alone. Made by `make seeds`, which trains what is missing and writes this page.
 
-Each row is {seeds} trainings with the default settings but {worlds} parallel episodes instead of 256, so half of the
+Each row is {seeds} trainings with the default settings but {worlds} parallel episodes instead of 256, half of the
 default budget, each evaluated on {episodes} fresh starts. Their valid final patterns are sorted into classes as
 `murmurate catalogue` does: the same up to moving, turning, relabelling, mirroring and scaling, within 0.125 root mean
-square radii. Each training was pinned to one core, for the number of threads changes a policy a little.
+square radii. Each training was pinned to one core, because the number of threads changes a policy a little.
 
-*Annealed* are the distinct valid patterns among the {ends} ends of simulated annealing, good and bad ones, polished
-under the exact constraints (`murmurate optimum` without its hand-made rings; many chains end in no valid pattern).
-*Never annealed* are the classes of the runs whose representative matches none of these ends, *never discovered* the
-annealed classes of which no member matches such a representative. A pattern of a run need not be a local optimum: it is
-where a policy comes to rest. So the representatives that annealing never found are polished as well; *polished too*
-counts those that are still unlike everything annealed.
+- *Distinct* are the classes of the runs; *in several runs*, those that more than one run found.
+- *Annealed* are the distinct valid patterns among the {ends} ends of simulated annealing, good and bad ones, polished
+  under the exact constraints (`murmurate optimum` without its rings; many chains end in no valid pattern).
+- *Never annealed* are the classes of the runs whose representative matches none of these ends.
+- *Polished too*: a pattern of a run is where a policy comes to rest, and need not be a local optimum. So the
+  representatives that annealing never found are polished as well; this counts those that still match nothing annealed.
+- *Never discovered* are the annealed classes of which no member matches a representative of the runs.
 
 {table}
 {plates}"""

@@ -126,7 +126,8 @@ class Reader:
         elif words[0] == "show" and "--robots" in words:
             small = ["--robots", "4"]
         elif words[0] == "compare":
-            small = ["--robots", "4", "--episodes", "4", "--schedulers", "fsync", "--methods", "learned,circle"]
+            small = ["--robots", "4", "--episodes", "4", "--schedulers", "fsync"]
+            small += [] if "--methods" in words else ["--methods", "learned,circle"]
         status = main([*words, *small])
         # Nothing need have been learned in two updates.
         assert status in ((0, 3) if words[0] == "discover" else (0,)), f"{self.page}: murmurate {' '.join(words)}"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 from pages import BY_HAND, DOCS, WRITTEN_BY_PROGRAMS, Reader, copy_run, tokens
 
@@ -33,6 +35,12 @@ def test_every_block_does_what_it_says(page, finished, tmp_path, monkeypatch, ca
     EXPECTED.get(page, lambda scope: None)(reader.scope)
     if reader.tried:
         capsys.readouterr()
+
+
+def test_recipes_are_short():
+    modules = [token.content for token in tokens("cookbook.md", "fence") if re.match(r"# \w+\.py\n", token.content)]
+    assert len(modules) == 7
+    assert all(len(module.splitlines()) <= 25 for module in modules)
 
 
 def _adapters(scope):
