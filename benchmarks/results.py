@@ -61,7 +61,7 @@ def results(rows: Sequence[Sequence[str]]) -> str:
     for policy in dict.fromkeys(record["policy"] for record in records):
         chosen = [record for record in records if record["policy"] == policy]
         cells = [tuple(_short(record[name]) for name in COLUMNS) for record in chosen]
-        parts.append(f"### Policy `{policy}`\n\n{table.as_markdown(COLUMNS, cells)}")
+        parts.append(f"### Policy `{policy}`\n\n{table.as_markdown(("", *COLUMNS[1:]), cells)}")
     counts = {}
     for name in ("contact-free", "inside", "at rest"):
         pairs = [[int(number) for number in record[name].split(" of ")] for record in records]
