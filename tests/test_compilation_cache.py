@@ -11,6 +11,8 @@ import pytest
 
 from murmurate import compilation_cache
 
+ROOT = Path(__file__).parents[1]
+
 SMALL = """
 from murmurate import compilation_cache
 {before}
@@ -21,16 +23,27 @@ print(jax.config.jax_compilation_cache_dir)
 """
 
 TRAIN = """
-import hashlib
+import hashlib, sys
 from murmurate import compilation_cache
 compilation_cache.configure()
+import equinox as eqx, jax, jax.numpy as jnp, numpy as np
+{train}
+weights = jax.tree.leaves(eqx.filter(policy, eqx.is_array))
+print(hashlib.sha256(b"".join(np.asarray(leaf).tobytes() for leaf in weights)).hexdigest())
+"""
+
+A_LINE = """
+sys.path.append("tests/learning")
+from probes import Line, begin, parabola, train
+environment = Line(jnp.int32(10))
+policy = train(begin(environment, parabola()), environment, 5)[0].policy
+"""
+
+A_SWARM = """
 from murmurate.discovery import Search
 from tiny import tiny
-import equinox as eqx, jax, numpy as np
 search = Search(tiny())
-snapshot, _ = search.advance(search.begin())
-weights = jax.tree.leaves(eqx.filter(snapshot.train.policy, eqx.is_array))
-print(hashlib.sha256(b"".join(np.asarray(leaf).tobytes() for leaf in weights)).hexdigest())
+policy = search.advance(search.begin())[0].train.policy
 """
 
 
@@ -38,7 +51,9 @@ def execute(code, tmp_path, **variables):
     """Runs Python in a process whose home is empty; returns what it wrote."""
     kept = {name: value for name, value in os.environ.items() if not name.startswith(("JAX_", "MURMURATE", "XDG_"))}
     environment = kept | {"HOME": str(tmp_path / "home"), "PYTHONPATH": os.pathsep.join(sys.path)} | variables
-    return subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    return subprocess.run(
+        [sys.executable, "-c", code], env=environment, cwd=ROOT, capture_output=True, text=True, check=True
+    )
 
 
 @pytest.mark.parametrize("before", ["", "import jax; jax.jit(lambda x: x - 1)(1)"], ids=["before JAX", "after JAX"])
@@ -101,9 +116,10 @@ def test_the_programs_used_longest_ago_are_removed(tmp_path):
     assert {path.name for path in folder.iterdir()} == {"program2-cache", "program3-cache", "notes.txt"}
 
 
-def test_the_same_seed_gives_the_same_weights_with_and_without_it(tmp_path):
-    shared = os.environ.get(compilation_cache.VARIABLE, str(tmp_path))
-    runs = [execute(TRAIN, tmp_path, MURMURATE_CACHE=value) for value in ("off", shared, shared)]
+@pytest.mark.parametrize("train", [A_LINE, pytest.param(A_SWARM, marks=pytest.mark.nightly)], ids=["line", "swarm"])
+def test_the_same_seed_gives_the_same_weights_with_and_without_it(train, tmp_path):
+    code = TRAIN.format(train=train)
+    runs = [execute(code, tmp_path, MURMURATE_CACHE=value) for value in ("off", str(tmp_path), str(tmp_path))]
     assert len({result.stdout for result in runs}) == 1
     assert [result.stderr for result in runs] == [""] * 3
 
