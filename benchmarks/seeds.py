@@ -29,7 +29,7 @@ WORLDS = 128
 SEARCHES, POLISHED = 1, 256
 """Annealings of each problem, and how many of the 256 chains of each are polished: all, poor local optima too."""
 
-MOST_DRAWN = 14
+MAX_DRAWN = 14
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +110,7 @@ def _finding(experiment: str, search: OptimumConfig, place: int, one: Formation)
 
 
 HEADER = (
-    *("experiment", "robots", "objective", "runs with a valid pattern", "valid patterns", "best gap"),
+    *("", "robots", "objective", "valid runs", "valid patterns", "best gap"),
     *("distinct", "in several runs", "never annealed", "polished too", "annealed", "never discovered"),
 )
 
@@ -138,7 +138,7 @@ def plate(robots: int, studies: Sequence[Study], path: Path) -> None:
     if not found:
         return
     everything = Catalogue.from_findings(found)
-    commonest = sorted(everything.classes, key=lambda pattern: -pattern.count)[:MOST_DRAWN]
+    commonest = sorted(everything.classes, key=lambda pattern: -pattern.count)[:MAX_DRAWN]
     shown = sorted(commonest, key=lambda pattern: everything.classes.index(pattern))
     subtitle = f"{len(everything.classes)} distinct among {len(found)} valid patterns; "
     subtitle += "all" if len(shown) == len(everything.classes) else f"the {len(shown)} that were found most often"

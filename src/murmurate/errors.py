@@ -9,8 +9,8 @@ from collections.abc import Iterable, Sequence
 from numbers import Integral, Real
 
 __all__ = [
-    "GREATEST",
-    "MOST",
+    "MAX_INTEGER",
+    "MAX_MAGNITUDE",
     "BeyondTrainingWarning",
     "InputError",
     "RunError",
@@ -59,11 +59,11 @@ class BeyondTrainingWarning(UserWarning):
     """Policies are executed where they were not trained: allowed, but they may do worse."""
 
 
-GREATEST = 1e9
-"""Greatest magnitude of a number that is computed with: its square, and sums of them, are finite in float32."""
+MAX_MAGNITUDE = 1e9
+"""Greatest magnitude of a number in a configuration: its square, and sums of squares, are finite in float32."""
 
-MOST = 2**31 - 1
-"""Greatest whole number that is computed with."""
+MAX_INTEGER = 2**31 - 1
+"""Greatest integer in a configuration: it fits 32 bits."""
 
 
 def check_number(

@@ -97,6 +97,7 @@ def same(first, second):
     return first.to_dict() == second.to_dict() and first.rows() == second.rows()
 
 
+@pytest.mark.unchecked
 @settings(max_examples=40)
 @given(FINDINGS, st.randoms(use_true_random=False))
 def test_the_order_of_the_findings_does_not_matter(findings, source):
@@ -106,6 +107,7 @@ def test_the_order_of_the_findings_does_not_matter(findings, source):
     assert same(Catalogue.from_findings(findings + shuffled), Catalogue.from_findings(findings))
 
 
+@pytest.mark.unchecked
 @settings(max_examples=40)
 @given(FINDINGS.map(Catalogue.from_findings))
 def test_a_file_loses_nothing(catalogue):
@@ -261,6 +263,7 @@ BAD_VALUES = {
 }
 
 
+@pytest.mark.unchecked
 @pytest.mark.parametrize(("name", "bad"), [(name, bad) for name, values in BAD_VALUES.items() for bad in values])
 def test_a_strangers_finding_is_refused_in_one_line(name, bad):
     data = Catalogue.from_findings([finding(ring(4)), finding(around(4), episode=1)]).to_dict()
@@ -294,6 +297,7 @@ BAD_FILES = [
 ]
 
 
+@pytest.mark.unchecked
 @pytest.mark.parametrize(("field", "broken"), BAD_FILES, ids=[field for field, _ in BAD_FILES])
 def test_a_strangers_file_is_refused_in_one_line(field, broken):
     with pytest.raises(InputError) as refusal:

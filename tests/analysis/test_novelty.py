@@ -65,6 +65,7 @@ def test_the_tolerance_is_the_distance(seed):
     assert names(unmatched(catalogue(ours, tolerance=apart * 0.999), [other])) == ["P1"]
 
 
+@pytest.mark.unchecked
 def test_swarms_of_another_size_are_refused():
     with pytest.raises(ValueError, match="robots"):
         unmatched(catalogue(ring(6)), [ring(5)])

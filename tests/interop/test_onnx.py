@@ -9,6 +9,7 @@ from pathlib import Path
 
 import equinox as eqx
 import jax.numpy as jnp
+import jaxtyping
 import numpy as np
 import pytest
 
@@ -30,6 +31,14 @@ REST = {"max_steps": 15, "window": 3, "switch_tolerance": 0.004, "tolerance": 0.
 """So that some policies come to rest and others are cut off."""
 
 pytestmark = pytest.mark.filterwarnings("ignore:::(jax2onnx|onnx|onnx_ir|flax|orbax|google).*")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def unchecked_types():
+    """Switches the checks of types off: to them a symbolic number of robots is no number."""
+    jaxtyping.config.update("jaxtyping_disable", True)
+    yield
+    jaxtyping.config.update("jaxtyping_disable", False)
 
 
 def untrained(kind, policies=2, objective="C2", seed=0, factor=1, walls=False):
@@ -155,7 +164,7 @@ def test_the_check_finds_a_model_of_something_else(equivariant):
     run, model = equivariant
     assert model.difference(run, 250) < onnx.TOLERANCE
     other = untrained("equivariant", seed=1)
-    assert replace(model, program=programs.cascade(other)).difference(run, 250) > 100 * onnx.TOLERANCE
+    assert replace(model, program=programs.cascade_program(other)).difference(run, 250) > 100 * onnx.TOLERANCE
 
 
 def test_a_model_says_what_it_is(equivariant):

@@ -22,7 +22,7 @@ from jaxtyping import Float
 
 from murmurate.analysis.measures import nearest_distances, visibility_margin
 from murmurate.analysis.symmetry import SYMMETRY_TOLERANCE, Symmetry, symmetry
-from murmurate.errors import GREATEST, MOST, InputError, check_choice, check_number
+from murmurate.errors import MAX_INTEGER, MAX_MAGNITUDE, InputError, check_choice, check_number
 from murmurate.geometry.hull import convex_layers
 from murmurate.geometry.similarity import configuration, distance, lower_bound, profile
 
@@ -43,9 +43,9 @@ FORMAT = 1
 ROUNDING = 1e-12
 """By how much rounding may lift a lower bound above the distance."""
 
-_LENGTH, _VALUE = (1 / GREATEST, GREATEST), (-GREATEST, GREATEST)
+_LENGTH, _VALUE = (1 / MAX_MAGNITUDE, MAX_MAGNITUDE), (-MAX_MAGNITUDE, MAX_MAGNITUDE)
 _NUMBERS = {"radius": _LENGTH, "safe_distance": _LENGTH, "scan_radius": _LENGTH, "value": _VALUE, "gap": _VALUE}
-_INTEGERS = {"seed": 2**32 - 1, "episode": MOST}
+_INTEGERS = {"seed": 2**32 - 1, "episode": MAX_INTEGER}
 _TEXTS = ("experiment", "policy", "start", "run")
 _OPTIONS = ("tolerance", "symmetry_tolerance", "scaling", "reflection")
 
@@ -91,8 +91,8 @@ class Finding:
 
     def __post_init__(self) -> None:
         points = configuration(self.positions) + 0.0  # without -0.0, which would be written in another way
-        if len(points) < 2 or np.abs(points).max() > GREATEST:
-            raise InputError("positions", points.shape, f"of two or more robots, each number within {GREATEST:g}")
+        if len(points) < 2 or np.abs(points).max() > MAX_MAGNITUDE:
+            raise InputError("positions", points.shape, f"of two or more robots, each number within {MAX_MAGNITUDE:g}")
         points.flags.writeable = False
         object.__setattr__(self, "positions", points)
         check_choice("objective", self.objective, ("C1", "C2", "custom"))
@@ -124,7 +124,7 @@ class Finding:
         """
         _check_fields(data, {field.name for field in dataclasses.fields(cls)}, where)
         try:
-            return cls(**data)
+            return cls(**{**data, "positions": configuration(data["positions"])})
         except InputError as error:
             raise InputError(f"{where}.{error.field}", error.value, error.allowed) from None
 
@@ -234,8 +234,8 @@ class Catalogue:
             if not scaling:
                 raise InputError("tolerance", None, "given, in world units, where patterns are not scaled")
             tolerance = TOLERANCE
-        check_number("tolerance", tolerance, 0, GREATEST, exclusive_low=True)
-        check_number("symmetry_tolerance", symmetry_tolerance, 0, GREATEST, exclusive_low=True)
+        check_number("tolerance", tolerance, 0, MAX_MAGNITUDE, exclusive_low=True)
+        check_number("symmetry_tolerance", symmetry_tolerance, 0, MAX_MAGNITUDE, exclusive_low=True)
         unique = _unique(findings)
         _check_comparable(unique, scaling)
         classes = tuple(

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from murmurate.cli.arguments import Parser
-from murmurate.errors import GREATEST, RunError, check_number
+from murmurate.errors import MAX_MAGNITUDE, RunError, check_number
 
 if TYPE_CHECKING:
     from murmurate.analysis import Catalogue, PatternClass
@@ -33,7 +33,7 @@ def run(argv: Sequence[str]) -> int:
     parser.add_argument("--trust", action="store_true", help=text)
     options, _ = parser.parse(argv)
     if options.tolerance is not None:
-        check_number("--tolerance", options.tolerance, 0, GREATEST, exclusive_low=True)
+        check_number("--tolerance", options.tolerance, 0, MAX_MAGNITUDE, exclusive_low=True)
     from murmurate.analysis import Catalogue
     from murmurate.runs import catalogues
 

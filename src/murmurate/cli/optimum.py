@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 __all__ = ["run"]
 
-MOST_LISTED = 8
+MAX_LISTED = 8
 
 
 def run(argv: Sequence[str]) -> int:
@@ -82,7 +82,7 @@ def _print_found(config: OptimumConfig, found: list[Formation]) -> None:
     sizes = config.world
     what = f"{sizes.robots} robots, {config.objective}, R = {sizes.radius:g}, safe distance {sizes.safe_distance:g}"
     print(f"{what}: {len(found)} distinct local optima, best first")
-    for one in found[:MOST_LISTED]:
+    for one in found[:MAX_LISTED]:
         signals = config.target.signals(one.positions)
         parts = ", ".join(f"{name} {float(value):.6f}" for name, value in signals.items())
         print(f"  {one.value:.7f}{_flaw(one)}  ({parts})")
@@ -93,7 +93,7 @@ def _flaw(one: Formation) -> str:
 
 
 def _print_comparison(config: OptimumConfig, best: Formation) -> None:
-    """Says how the best one stands beside what is proved and what is known."""
+    """Prints the best formation beside the bounds and the best known one."""
     from murmurate.analysis.optimum import bounds
     from murmurate.analysis.optimum.best_known import RECORD_MARGIN, best_known
     from murmurate.geometry import smallest_ring

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from murmurate import prng
-from murmurate.errors import GREATEST, MOST, check_number
+from murmurate.errors import MAX_INTEGER, MAX_MAGNITUDE, check_number
 from murmurate.types import Trajectories
 from murmurate.world import World, Wrapper
 
@@ -40,9 +40,9 @@ class RestRule:
 
     def __post_init__(self) -> None:
         for name in ("window", "max_steps"):
-            check_number(name, getattr(self, name), 1, MOST, integer=True)
+            check_number(name, getattr(self, name), 1, MAX_INTEGER, integer=True)
         for name in ("tolerance", "switch_tolerance"):
-            check_number(name, getattr(self, name), 0, GREATEST, exclusive_low=True)
+            check_number(name, getattr(self, name), 0, MAX_MAGNITUDE, exclusive_low=True)
 
 
 class _Status(eqx.Module):
@@ -87,6 +87,10 @@ class Cascade(eqx.Module):
     policies: tuple[Any, ...]
     env: World | Wrapper
     rest: RestRule = eqx.field(static=True)
+
+    def __repr__(self) -> str:
+        policies = ", ".join(type(policy).__name__ for policy in self.policies)
+        return f"Cascade({self.world.config.robots} robots: {policies})"
 
     @property
     def world(self) -> World:

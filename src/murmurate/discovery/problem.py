@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
 from murmurate.discovery.cascade import RestRule
-from murmurate.errors import GREATEST, MOST, InputError, check_number
+from murmurate.errors import MAX_INTEGER, MAX_MAGNITUDE, InputError, check_number
 from murmurate.learning import PPOConfig
 from murmurate.policies import NoShield, Policy, Shield
 from murmurate.world import (
@@ -66,10 +66,10 @@ class StageConfig:
 
     def __post_init__(self) -> None:
         for name, weight in self.weights.items():
-            check_number(f"weights.{name}", weight, 0, GREATEST)
+            check_number(f"weights.{name}", weight, 0, MAX_MAGNITUDE)
         for name in ("horizon", "repeat"):
-            check_number(name, getattr(self, name), 1, MOST, integer=True)
-        check_number("noise", self.noise, 0, GREATEST)
+            check_number(name, getattr(self, name), 1, MAX_INTEGER, integer=True)
+        check_number("noise", self.noise, 0, MAX_MAGNITUDE)
         check_number("margin", self.margin, 0, 10)
         check_number("random_share", self.random_share, 0, 1)
         check_number("symmetric_share", self.symmetric_share, 0, 1)
@@ -103,7 +103,7 @@ class DiscoveryConfig:
 
     def __post_init__(self) -> None:
         for name in ("min_policies", "max_policies", "sigma", "episodes", "chunk"):
-            check_number(name, getattr(self, name), 1, MOST, integer=True)
+            check_number(name, getattr(self, name), 1, MAX_INTEGER, integer=True)
         if self.max_policies < self.min_policies:
             raise InputError("max_policies", self.max_policies, f"at least min_policies = {self.min_policies}")
         check_number("required_valid", self.required_valid, 0, 1)

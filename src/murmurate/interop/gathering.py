@@ -19,7 +19,7 @@ from jaxtyping import Array, Bool, Float, PyTree, UInt8, UInt32
 
 from murmurate import compilation_cache, prng
 from murmurate.discovery import DiscoveryConfig, Problem, RestRule, StageConfig, check_parts
-from murmurate.errors import MOST, InputError, check_choice, check_number, suggestion
+from murmurate.errors import MAX_INTEGER, InputError, check_choice, check_number, suggestion
 from murmurate.policies import LocalPolicy
 from murmurate.registry import Importer, Strategy
 from murmurate.runs import config_io
@@ -160,7 +160,7 @@ class Options:
         check_number("robots", self.robots, 2, integer=True)
         check_choice("objective", self.objective, tuple(OBJECTIVES))
         check_choice("action_scale", self.action_scale, get_args(ActionScale))
-        check_number("horizon", self.horizon, 1, MOST, integer=True)
+        check_number("horizon", self.horizon, 1, MAX_INTEGER, integer=True)
         for name in ("signals", "weights"):
             value = getattr(self, name)
             if not isinstance(value, Mapping | None):

@@ -15,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float
 
-from murmurate.errors import GREATEST, InputError, RunError, check_number
+from murmurate.errors import MAX_MAGNITUDE, InputError, RunError, check_number
 from murmurate.geometry import any_outside, closest_approach
 from murmurate.runs import files
 from murmurate.runs.experiment import ExperimentConfig
@@ -50,10 +50,10 @@ class Scale:
 
     def __post_init__(self) -> None:
         for flag, value in (("--scale", self.metres), ("--period", self.seconds)):
-            check_number(flag, value, 1e-3, GREATEST)
+            check_number(flag, value, 1e-3, MAX_MAGNITUDE)
         for flag, value in (("--robot-radius", self.robot_radius), ("--robot-speed", self.robot_speed)):
             if value is not None:
-                check_number(flag, value, 0, GREATEST, exclusive_low=True)
+                check_number(flag, value, 0, MAX_MAGNITUDE, exclusive_low=True)
 
 
 @dataclass(frozen=True, eq=False)

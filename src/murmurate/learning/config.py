@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from murmurate.errors import MOST, InputError, check_choice, check_number
+from murmurate.errors import MAX_INTEGER, InputError, check_choice, check_number
 
 __all__ = ["Exploration", "Hyperparameters", "PPOConfig", "Schedule", "Shape", "ValueTarget"]
 
@@ -68,7 +68,7 @@ class PPOConfig:
 
     def __post_init__(self) -> None:
         for name in ("updates", "worlds", "steps", "epochs", "minibatches"):
-            check_number(name, getattr(self, name), 1, MOST, integer=True)
+            check_number(name, getattr(self, name), 1, MAX_INTEGER, integer=True)
         if (self.worlds * self.steps) % self.minibatches:
             raise InputError(
                 "minibatches", self.minibatches, f"a divisor of worlds * steps = {self.worlds * self.steps}"

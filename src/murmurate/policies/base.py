@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from murmurate.errors import MOST, InputError, check_choice, check_number
+from murmurate.errors import MAX_INTEGER, InputError, check_choice, check_number
 from murmurate.registry import Strategy
 from murmurate.world.config import WorldConfig
 
@@ -74,6 +74,9 @@ class PolicyNetwork(eqx.Module):
     log_std: eqx.AbstractVar[Float[Array, "..."]]
     world: eqx.AbstractVar[WorldConfig]
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.world.robots} robots)"
+
     @abstractmethod
     def __call__(self, observation: Any) -> Float[Array, "robots 2 *batch"]:
         """Returns the most likely velocities, world units per step."""
@@ -124,6 +127,6 @@ def check_hidden(hidden: tuple[int, ...], most: int | None = None) -> None:
         InputError: There are none or too many, or one is not positive.
     """
     for width in hidden:
-        check_number("hidden", width, 1, MOST, integer=True)
+        check_number("hidden", width, 1, MAX_INTEGER, integer=True)
     if not hidden or (most is not None and len(hidden) > most):
         raise InputError("hidden", hidden, "one or more integers >= 1" if most is None else "one or two integers >= 1")

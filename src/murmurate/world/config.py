@@ -7,7 +7,7 @@ from typing import Literal, get_args
 
 import equinox as eqx
 
-from murmurate.errors import GREATEST, InputError, check_choice, check_number
+from murmurate.errors import MAX_MAGNITUDE, InputError, check_choice, check_number
 
 __all__ = ["Safety", "WorldConfig", "scaled_to"]
 
@@ -46,11 +46,11 @@ class WorldConfig(eqx.Module):
     def __check_init__(self) -> None:
         check_number("robots", self.robots, 2, integer=True)
         for name in ("half_width", "half_height", "radius", "scan_radius", "safe_distance", "max_speed"):
-            check_number(name, getattr(self, name), 0, GREATEST, exclusive_low=True)
+            check_number(name, getattr(self, name), 0, MAX_MAGNITUDE, exclusive_low=True)
         two_radii = 2 * self.radius
         if self.safe_distance <= two_radii:
             raise InputError("safe_distance", self.safe_distance, f"more than two radii ({two_radii:g})")
-        check_number("collision_penalty", self.collision_penalty, 0, GREATEST)
+        check_number("collision_penalty", self.collision_penalty, 0, MAX_MAGNITUDE)
         check_choice("safety", self.safety, get_args(Safety))
 
     def __repr__(self) -> str:

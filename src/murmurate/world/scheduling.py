@@ -19,7 +19,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from murmurate import prng
-from murmurate.errors import GREATEST, check_number
+from murmurate.errors import MAX_MAGNITUDE, check_number
 from murmurate.registry import Strategy
 
 __all__ = ["Activation", "AsyncScheduler", "Clock", "FsyncScheduler", "Scheduler", "SsyncScheduler"]
@@ -81,7 +81,7 @@ class Scheduler(Strategy):
     """Activations drawn at each step, of which the one with the worst outcome happens: an adversary draws several."""
 
     def __check_init__(self) -> None:
-        check_number("min_move", self.min_move, 0, GREATEST, exclusive_low=True)
+        check_number("min_move", self.min_move, 0, MAX_MAGNITUDE, exclusive_low=True)
 
     @abstractmethod
     def activate(self, key: PRNGKeyArray, clock: Clock) -> Activation:

@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 import equinox as eqx
 from jaxtyping import Bool, Float
 
-from murmurate.errors import GREATEST, InputError, check_number
+from murmurate.errors import MAX_MAGNITUDE, InputError, check_number
 from murmurate.geometry import _batch_last
 from murmurate.registry import Strategy
 from murmurate.world.config import WorldConfig
@@ -76,7 +76,7 @@ class Signal(Strategy):
     weight: float = eqx.field(default=1.0, kw_only=True)
 
     def __check_init__(self) -> None:
-        check_number("weight", self.weight, 0, GREATEST)
+        check_number("weight", self.weight, 0, MAX_MAGNITUDE)
 
     @abstractmethod
     def __call__(self, configuration: Configuration) -> Float[Array, "robots *batch"]:
@@ -243,7 +243,7 @@ class Objective(eqx.Module):
         for name, weight in (weights or {}).items():
             if name not in signals:
                 raise InputError(f"weights.{name}", weight, f"of a signal of the objective ({', '.join(signals)})")
-            check_number(f"weights.{name}", weight, 0, GREATEST)
+            check_number(f"weights.{name}", weight, 0, MAX_MAGNITUDE)
         self.signals = dict(signals)
         self.weights = {name: (weights or {}).get(name, signal.weight) for name, signal in signals.items()}
         self.names = tuple(signals)

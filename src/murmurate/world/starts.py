@@ -23,7 +23,7 @@ import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from murmurate import prng
-from murmurate.errors import MOST, InputError, check_choice, check_number
+from murmurate.errors import MAX_INTEGER, InputError, check_choice, check_number
 from murmurate.geometry import _batch_last
 from murmurate.registry import Strategy
 from murmurate.world.config import WorldConfig
@@ -126,7 +126,7 @@ class LayoutStart(Start):
     noise: float = 2.0
 
     def __check_init__(self) -> None:
-        check_number("noise", self.noise, 0, MOST)
+        check_number("noise", self.noise, 0, MAX_INTEGER)
 
     @abstractmethod
     def layouts(self, world: WorldConfig) -> Float[np.ndarray, "layouts robots 2"]:
@@ -178,7 +178,7 @@ class DistributedStart(LayoutStart):
     spacing: float = 6.0
 
     def __check_init__(self) -> None:
-        check_number("spacing", self.spacing, 2, MOST, exclusive_low=True)
+        check_number("spacing", self.spacing, 2, MAX_INTEGER, exclusive_low=True)
 
     def layouts(self, world: WorldConfig) -> Float[np.ndarray, "1 robots 2"]:
         """Returns the two grids."""
@@ -202,8 +202,8 @@ class PackedStart(LayoutStart):
     lines: int = eqx.field(default=1, static=True)
 
     def __check_init__(self) -> None:
-        check_number("spacing", self.spacing, 2, MOST, exclusive_low=True)
-        check_number("lines", self.lines, 1, MOST, integer=True)
+        check_number("spacing", self.spacing, 2, MAX_INTEGER, exclusive_low=True)
+        check_number("lines", self.lines, 1, MAX_INTEGER, integer=True)
 
     def layouts(self, world: WorldConfig) -> Float[np.ndarray, "1 robots 2"]:
         """Returns the lines."""

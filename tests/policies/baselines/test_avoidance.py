@@ -55,7 +55,7 @@ def test_somebody_in_the_shadow_of_another_is_reckoned_with():
     mask = np.ones((3, 3, 1), bool)
     mask[0, 2] = mask[2, 0] = False
     hidden = seen._replace(seen=seen.seen & mask, x=seen.x * mask, y=seen.y * mask)
-    towards = positions[[2, 1, 0]] - positions
+    towards = jnp.asarray(positions[[2, 1, 0]] - positions)
     found = np.asarray(avoid_collisions(towards[:, 0], towards[:, 1], hidden, WORLD), float)
     assert np.abs(found).max() > 0
     assert not _batch_last.any_contact(positions.astype(float), found, WORLD.radius).any()

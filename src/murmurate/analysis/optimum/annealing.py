@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from murmurate.errors import GREATEST, InputError, check_number
+from murmurate.errors import MAX_MAGNITUDE, InputError, check_number
 from murmurate.geometry import _batch_last
 
 __all__ = ["AnnealingConfig", "anneal"]
@@ -52,7 +52,7 @@ class AnnealingConfig:
         check_number("chains", self.chains, 1, MAX_CHAINS, integer=True)
         check_number("moves_per_robot", self.moves_per_robot, 1, MAX_MOVES_PER_ROBOT, integer=True)
         for name in ("t_start", "t_end", "step_start", "step_end"):
-            check_number(name, getattr(self, name), 0, GREATEST, exclusive_low=True)
+            check_number(name, getattr(self, name), 0, MAX_MAGNITUDE, exclusive_low=True)
         check_number("teleport_fraction", self.teleport_fraction, 0, 1)
         for high, low in (("t_start", "t_end"), ("step_start", "step_end")):
             if getattr(self, low) > getattr(self, high):

@@ -19,7 +19,7 @@ from scipy.optimize import OptimizeResult, basinhopping
 from murmurate.analysis.optimum.annealing import AnnealingConfig, anneal
 from murmurate.analysis.optimum.formation import Target
 from murmurate.analysis.optimum.polish import polish
-from murmurate.errors import GREATEST, MOST, check_choice, check_number
+from murmurate.errors import MAX_INTEGER, MAX_MAGNITUDE, check_choice, check_number
 from murmurate.geometry import _batch_last, similarity
 from murmurate.geometry.rings import smallest_ring
 from murmurate.world import WorldConfig
@@ -61,10 +61,10 @@ class OptimumConfig:
     def __post_init__(self) -> None:
         check_choice("objective", self.objective, ("C1", "C2"))
         for name, weight in self.weights.items():
-            check_number(f"weights.{name}", weight, 0, GREATEST)
-        check_number("polished", self.polished, 0, MOST, integer=True)
+            check_number(f"weights.{name}", weight, 0, MAX_MAGNITUDE)
+        check_number("polished", self.polished, 0, MAX_INTEGER, integer=True)
         check_number("hops", self.hops, 0, 1_000_000, integer=True)
-        check_number("seed", self.seed, 0, MOST, integer=True)
+        check_number("seed", self.seed, 0, MAX_INTEGER, integer=True)
 
     @property
     def target(self) -> Target:
