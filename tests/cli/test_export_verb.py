@@ -27,14 +27,14 @@ def test_a_model_that_onnxruntime_runs(discovered, tmp_path, monkeypatch, capsys
     out = capsys.readouterr().out
     assert "input: positions batch x 3 x 2, float32" in out
     assert "greatest difference over 1,000 configurations:" in out
-    assert out.endswith("model: tiny.onnx\n")
+    assert out.endswith("model: central.onnx\n")
     import onnxruntime
 
-    session = onnxruntime.InferenceSession("tiny.onnx")
+    session = onnxruntime.InferenceSession("central.onnx")
     shapes = {one.name: one.shape for one in session.get_inputs()}
     inputs = {"positions": np.zeros((4, 3, 2), np.float32), "memory": np.zeros((4, shapes["memory"][1]), np.float32)}
     assert session.run(None, inputs)[0].shape == (4, 3, 2)
-    assert "tiny.onnx exists: choose another --out" in complaint(capsys, ["export", str(discovered), "--onnx"])
+    assert "central.onnx exists: choose another --out" in complaint(capsys, ["export", str(discovered), "--onnx"])
 
 
 def test_one_policy_has_no_memory(discovered, tmp_path, capsys):
@@ -50,8 +50,8 @@ def test_waypoints(discovered, tmp_path, monkeypatch, capsys, kind):
     assert main(words) == 0
     out = capsys.readouterr().out
     assert "metres per world unit: 0.05" in out
-    assert out.endswith(f"waypoints: tiny.{kind}\n")
-    assert f"tiny.{kind} exists" in complaint(capsys, words)
+    assert out.endswith(f"waypoints: central.{kind}\n")
+    assert f"central.{kind} exists" in complaint(capsys, words)
 
 
 def test_wrong_words_are_one_line_and_write_nothing(discovered, tmp_path, monkeypatch, capsys):

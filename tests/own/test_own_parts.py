@@ -11,6 +11,7 @@ import sys
 import time
 from pathlib import Path
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -18,6 +19,7 @@ import murmurate
 from murmurate.cli.main import main
 from murmurate.errors import InputError, RunError
 from murmurate.runs import presets
+from tiny import tiny
 
 HERE = Path(__file__).parent
 POLICIES = ("0-base.safetensors", "1-auxiliary.safetensors")
@@ -220,12 +222,23 @@ def test_other_sensing_and_shields(tmp_path):
 
     config = tiny(policy={"use": "local", "hidden": [8, 4]}, sensing={"use": "visible"})
     run = murmurate.discover(config, out=tmp_path / "run", sensing=Nearest(rotation=True), shield=Half(0.25))
-    view = run.cascade.env.env.observe(run.cascade.env.state(np.moveaxis(run.starts(2), 0, -1))).view
+    view = run.cascade.env.env.observe(run.cascade.env.state(jnp.asarray(np.moveaxis(run.starts(2), 0, -1)))).view
     assert (np.asarray(view.seen).sum(axis=1) == 1).all()
     moved = np.abs(np.diff(run.rollout(4).positions, axis=1)).max()
     assert 0 < moved <= 0.25 * config.world.max_speed * 2**0.5
     with pytest.raises(RunError, match="trust"):
         in_fresh_interpreter(tmp_path / "run")
+
+
+def test_networks_of_a_library_are_trained(tmp_path):
+    """Their activation functions are leaves that are no arrays."""
+    from own.net import Library
+
+    run = murmurate.discover(tiny(), out=tmp_path / "run", policy=Library(width=6))
+    first = np.asarray(run.cascade.policies[0].mlp.layers[0].weight)
+    assert first.shape == (6, 6)
+    again = murmurate.load(tmp_path / "run", trust=True)
+    np.testing.assert_array_equal(again.rollout(4, key=2).positions, run.rollout(4, key=2).positions)
 
 
 def in_fresh_interpreter(folder):
