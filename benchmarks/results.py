@@ -61,7 +61,8 @@ def results(rows: Sequence[Sequence[str]]) -> str:
     for policy in dict.fromkeys(record["policy"] for record in records):
         chosen = [record for record in records if record["policy"] == policy]
         cells = [tuple(_short(record[name]) for name in COLUMNS) for record in chosen]
-        parts.append(f"### Policy `{policy}`\n\n{table.as_markdown(COLUMNS, cells)}")
+        header = ("", *COLUMNS[1:])
+        parts.append(f"### Policy `{policy}`\n\n{table.as_markdown(header, cells)}")
     counts = {}
     for name in ("contact-free", "inside", "at rest"):
         pairs = [[int(number) for number in record[name].split(" of ")] for record in records]
@@ -139,17 +140,16 @@ beside the paper's tables and figures, and has all of their numbers in [report.j
 {results}
 ![The patterns that the equivariant policy found in experiments A to F](figures/patterns.png)
 
-The colour of a path is that of the active policy: blue for the base policy, green for an auxiliary one, pink
-for a third.
+The colour of a path is that of the active policy: blue for the base policy, green for the auxiliary one, pink for a
+third.
 
 ## Other starts
 
 The equivariant runs of seed 0, 200 starts for each cell: valid of 200, (episodes with a contact or an exit), steps over
 bound. The column of an experiment's own start repeats the table above with other random numbers; the other layouts
-were never trained on. About half of the base policy's training begins anywhere, but mostly more crowded than here.
-The equivariant policy does not know where it is, so it does not know the walls: from a corner, a swarm that is
-nearer than its safe distance may leave the world. The other failures have one robot that stays inside, in line with
-two others.
+were never trained on. About half of the base policy's training begins anywhere, but mostly more crowded than here. The
+equivariant policy does not know where it is, so it does not know the walls: from a corner, a swarm that is nearer than
+its safe distance may leave the world. The other failures have one robot that stays inside, in line with two others.
 
 {others}
 ![Experiment C: start, base pattern, final pattern, training, one episode](figures/discovery-C.png)

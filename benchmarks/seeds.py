@@ -110,7 +110,7 @@ def _finding(experiment: str, search: OptimumConfig, place: int, one: Formation)
 
 
 HEADER = (
-    *("experiment", "robots", "objective", "runs with a valid pattern", "valid patterns", "best gap"),
+    *("", "robots", "objective", "valid runs", "valid patterns", "best gap"),
     *("distinct", "in several runs", "never annealed", "polished too", "annealed", "never discovered"),
 )
 

@@ -32,7 +32,7 @@ def test_every_command_names_a_verb_that_exists() -> None:
 
 
 def test_the_paper_is_named_and_linked_in_the_first_paragraph() -> None:
-    paragraph = README.read_text(encoding="utf-8").split("\n\n")[1]
+    paragraph = " ".join(README.read_text(encoding="utf-8").split("\n\n")[1].split())
     assert "[Collisionless Pattern Discovery in Robot Swarms Using Deep Reinforcement Learning]" in paragraph
     assert "(https://arxiv.org/abs/2209.09865)" in paragraph
 

@@ -116,7 +116,7 @@ class Reader:
             Grid.from_toml(self.folder / words[1])
             return
         if "--hosts" in words:  # which the tests of devices carry out
-            discover._parser("C").parse(words[1:])
+            discover._parser("C", words[1:]).parse(words[1:])
             return
         small: list[str] = []
         if words[0] == "discover":

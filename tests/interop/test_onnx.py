@@ -155,7 +155,7 @@ def test_the_check_finds_a_model_of_something_else(equivariant):
     run, model = equivariant
     assert model.difference(run, 250) < onnx.TOLERANCE
     other = untrained("equivariant", seed=1)
-    assert replace(model, program=programs.cascade(other)).difference(run, 250) > 100 * onnx.TOLERANCE
+    assert replace(model, program=programs.cascade_program(other)).difference(run, 250) > 100 * onnx.TOLERANCE
 
 
 def test_a_model_says_what_it_is(equivariant):

@@ -211,8 +211,8 @@ def test_the_table_goes_into_a_page_once_and_is_kept(done):
     _, _, rows = done
     part = comparison_page.page(rows, ["murmurate compare"], ["a note"])
     headings = part.count("\n### ")
-    groups = {(row["sensing"], row["scheduler"]) if row["start"] == "random" else row["start"] for row in rows}
-    assert headings == len(groups)
+    kinds = {(row["sensing"], row["scheduler"]) if row["start"] == "random" else row["start"] for row in rows}
+    assert headings == len(kinds)
     assert part.count("\n| ") == len(rows) + 2 * headings
     page = comparison_page.put_into("# Title\n\ntext\n", part)
     again = comparison_page.put_into(page, part.replace("a note", "another"))

@@ -69,7 +69,7 @@ def _model(folder: str | None, index: int | None, out: str | None, trust: bool) 
     for name, shape in model.program.inputs.items():
         print(f"input: {name} {' x '.join(map(str, shape))}, float32")
     print(f"outputs: {', '.join(model.program.outputs)}")
-    print(f"greatest difference over {onnx.CHECKED:,} configurations: {difference:.1e}")
+    print(f"greatest difference over {onnx.CONFIGURATIONS:,} configurations: {difference:.1e}")
     print(f"model: {path}")
     return 0
 

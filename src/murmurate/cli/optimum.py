@@ -93,7 +93,7 @@ def _flaw(one: Formation) -> str:
 
 
 def _print_comparison(config: OptimumConfig, best: Formation) -> None:
-    """Says how the best one stands beside what is proved and what is known."""
+    """Prints the best formation beside the bounds and the best known one."""
     from murmurate.analysis.optimum import bounds
     from murmurate.analysis.optimum.best_known import RECORD_MARGIN, best_known
     from murmurate.geometry import smallest_ring

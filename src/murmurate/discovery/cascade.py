@@ -88,6 +88,10 @@ class Cascade(eqx.Module):
     env: World | Wrapper
     rest: RestRule = eqx.field(static=True)
 
+    def __repr__(self) -> str:
+        policies = ", ".join(type(policy).__name__ for policy in self.policies)
+        return f"Cascade({self.world.config.robots} robots: {policies})"
+
     @property
     def world(self) -> World:
         """The world inside all wrappers."""

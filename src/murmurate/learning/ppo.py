@@ -6,6 +6,7 @@ here knows what the environment is about.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -180,9 +181,9 @@ def _update(
         def step(state: TrainState, part: Batch) -> tuple[TrainState, dict[str, Any]]:
             return _improve(state, part, hyper, progress)
 
-        return jax.lax.scan(step, state, _minibatches(batch, key, shape.minibatches))
+        return _scan(step, state, _minibatches(batch, key, shape.minibatches))
 
-    state, losses = jax.lax.scan(epoch, state, jax.random.split(shuffle_key, shape.epochs))
+    state, losses = _scan(epoch, state, jax.random.split(shuffle_key, shape.epochs))
     transition = rollout.transition
     losses = jax.tree.map(jnp.mean, losses)
     metrics = {
@@ -196,6 +197,20 @@ def _update(
         lambda s: (s.env_state, s.key, s.update), state, (env_state, jax.random.key_data(key), state.update + 1)
     )
     return state, metrics
+
+
+def _scan(
+    step: Callable[[TrainState, Any], tuple[TrainState, Any]], state: TrainState, xs: Any, length: int | None = None
+) -> tuple[TrainState, Any]:
+    """Scans over a training state whose networks may have leaves that are no arrays, such as activation functions."""
+    arrays, rest = eqx.partition(state, eqx.is_array)
+
+    def step_arrays(arrays: Any, x: Any) -> tuple[Any, Any]:
+        state, result = step(eqx.combine(arrays, rest), x)
+        return eqx.filter(state, eqx.is_array), result
+
+    arrays, results = jax.lax.scan(step_arrays, arrays, xs, length=length)
+    return eqx.combine(arrays, rest), results
 
 
 @eqx.filter_jit
@@ -224,4 +239,4 @@ def train_chunk(
         return _update(state, env, hyper, shape)
 
     state = eqx.tree_at(lambda s: s.env_state, state, sharding.shard_batch(state.env_state))
-    return sharding.replicate(jax.lax.scan(step, state, None, length=updates))
+    return sharding.replicate(_scan(step, state, None, length=updates))

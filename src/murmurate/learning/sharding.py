@@ -12,6 +12,7 @@ import zlib
 from collections.abc import Callable
 from typing import Any, TypeVar
 
+import equinox as eqx
 import jax
 import numpy as np
 from jax.experimental import multihost_utils
@@ -191,7 +192,8 @@ def shard_batch(tree: Any) -> Any:
 
 def replicate(tree: Any) -> Any:
     """Gives every device the whole of every array; for use inside a jit."""
-    return jax.lax.with_sharding_constraint(tree, _whole())
+    arrays, rest = eqx.partition(tree, eqx.is_array)
+    return eqx.combine(jax.lax.with_sharding_constraint(arrays, _whole()), rest)
 
 
 def device_put(tree: Any, split: bool = False) -> Any:
@@ -201,16 +203,17 @@ def device_put(tree: Any, split: bool = False) -> Any:
         tree: The arrays, whole, and the same on every host.
         split: Split them by the last axis; otherwise every device gets the whole.
     """
-    shardings = jax.tree.map(lambda x: _split(np.ndim(x)) if split else _whole(), tree)
+    arrays, rest = eqx.partition(tree, lambda x: isinstance(x, jax.Array | np.ndarray))
+    shardings = jax.tree.map(lambda x: _split(np.ndim(x)) if split else _whole(), arrays)
     if jax.process_count() == 1:
-        return jax.device_put(tree, shardings)
+        return eqx.combine(jax.device_put(arrays, shardings), rest)
     # Every host holds the whole array already: each fills its own devices, and nothing is sent.
-    return jax.tree.map(_put_on_own_devices, tree, shardings)
+    return eqx.combine(jax.tree.map(_put_on_own_devices, arrays, shardings), rest)
 
 
 def to_host(tree: Any) -> Any:
     """Returns replicated arrays as this process's first device holds them, after a jit."""
-    return jax.tree.map(lambda x: x.addressable_data(0), tree)
+    return jax.tree.map(lambda x: x.addressable_data(0) if isinstance(x, jax.Array) else x, tree)
 
 
 def _put_on_own_devices(array: Any, sharding: NamedSharding) -> jax.Array:

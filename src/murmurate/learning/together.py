@@ -41,7 +41,8 @@ class Chunk:
     def program(self) -> Hashable:
         """Everything that the compiled program depends on: chunks that agree in it can run together."""
         leaves, structure = jax.tree.flatten((self.state, self.env, self.hyper))
-        return structure, tuple((leaf.shape, leaf.dtype) for leaf in leaves), self.shape, self.updates
+        kinds = tuple((leaf.shape, leaf.dtype) if eqx.is_array(leaf) else leaf for leaf in leaves)
+        return structure, kinds, self.shape, self.updates
 
 
 def train_together(chunks: Sequence[Chunk]) -> list[tuple[TrainState, dict[str, Any]]]:
@@ -71,7 +72,10 @@ def _run(chunks: list[Chunk]) -> list[tuple[TrainState, dict[str, Any]]]:
     axes = jax.tree.map(lambda *leaves: None if _same(leaves) else 0, *trees)
     joined = jax.tree.map(lambda *leaves: leaves[0] if _same(leaves) else jnp.stack(leaves), *trees)
     trained = sharding.to_host(_train(_put(joined), axes, len(chunks), first.shape, first.updates))
-    return [jax.tree.map(lambda leaf, index=index: leaf[index], trained) for index in range(len(chunks))]
+    return [
+        jax.tree.map(lambda leaf, index=index: leaf[index] if eqx.is_array(leaf) else leaf, trained)
+        for index in range(len(chunks))
+    ]
 
 
 def _put(tree: tuple[TrainState, Any, Any]) -> tuple[TrainState, Any, Any]:
@@ -83,6 +87,8 @@ def _put(tree: tuple[TrainState, Any, Any]) -> tuple[TrainState, Any, Any]:
 
 
 def _same(leaves: Sequence[Any]) -> bool:
+    if not all(map(eqx.is_array_like, leaves)):
+        return all(leaf == leaves[0] for leaf in leaves[1:])
     first = np.asarray(leaves[0])
     return all(np.array_equal(first, np.asarray(leaf)) for leaf in leaves[1:])
 

@@ -74,6 +74,9 @@ class PolicyNetwork(eqx.Module):
     log_std: eqx.AbstractVar[Float[Array, "..."]]
     world: eqx.AbstractVar[WorldConfig]
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.world.robots} robots)"
+
     @abstractmethod
     def __call__(self, observation: Any) -> Float[Array, "robots 2 *batch"]:
         """Returns the most likely velocities, world units per step."""

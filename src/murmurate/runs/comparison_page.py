@@ -12,20 +12,10 @@ __all__ = ["HEADER", "kept", "page", "put_into", "table_rows", "tables"]
 CONDITION = ("start", "sensing", "scheduler", "N", "method")
 """The columns that say what was evaluated."""
 
-MEASURES = (
-    "valid",
-    "95% interval",
-    "collided",
-    "left",
-    "hidden",
-    "not at rest",
-    "steps",
-    "epochs",
-    "efficiency",
-    "gap",
-)
+FAILURES = ("collided", "left", "hidden", "not at rest")
+"""The columns that count what was wrong."""
 
-HEADER = (*CONDITION, *MEASURES)
+HEADER = (*CONDITION, "valid", "95% interval", *FAILURES, "steps", "epochs", "efficiency", "gap")
 
 RANDOM = "random"
 
@@ -64,7 +54,7 @@ def tables(rows: Sequence[Mapping[str, Any]]) -> str:
     """
     groups: dict[tuple[str, ...], list[Row]] = {}
     for row in table_rows(rows):
-        groups.setdefault(row[:3] if row[0] == RANDOM else row[:1], []).append(row)
+        groups.setdefault(tuple(row[:3] if row[0] == RANDOM else row[:1]), []).append(row)
     parts = []
     for group in groups.values():
         shared = [len({row[column] for row in group}) == 1 for column in range(len(CONDITION))]

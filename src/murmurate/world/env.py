@@ -109,6 +109,9 @@ class World(eqx.Module):
         signals = objective_signals(objective) if isinstance(objective, str) else objective
         return cls(config, Objective(signals, weights), start.prepare(config), horizon, per_robot_credit)
 
+    def __repr__(self) -> str:
+        return f"World({self.config.robots} robots, objective of {', '.join(self.objective.names)})"
+
     def signals(self, positions: Float[Array, "robots 2 *batch"]) -> dict[str, Float[Array, "*batch"]]:
         """Returns the signals of configurations by name."""
         return self.objective.measure(Configuration(positions, self.config))

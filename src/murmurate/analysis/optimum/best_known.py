@@ -160,7 +160,7 @@ def best_known(target: Target) -> float | None:
         for entry in load()
         if (entry.robots, entry.objective) == (world.robots, target.objective)
         and math.isclose(entry.radius * world.safe_distance, world.radius * entry.safe_distance, rel_tol=1e-9)
-        # Scaled, a distance may round to just below the safe one: hence a hair wider.
+        # Scaled, a distance may round to just below the safe one, so the pattern is made slightly wider.
         and target.is_valid(positions := entry.scaled(world.safe_distance * (1 + 1e-12)))
     ]
     return max(values, default=None)

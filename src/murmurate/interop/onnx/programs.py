@@ -1,15 +1,18 @@
-"""What leaves as an ONNX model, as functions of arrays whose batch is the FIRST axis, as everybody else has it.
+"""What is exported as an ONNX model: functions of float32 arrays whose FIRST axis is the batch.
 
-A model takes and gives float32. What it computes for each kind of policy:
+- A policy that acts on all positions: velocities `(batch, robots, 2)` from positions `(batch, robots, 2)`.
+- A policy that acts on each robot's own view: the velocity `(batch, 2)` of one robot from what it alone perceives,
+  `(batch, others, 2)`, in its own frame.
+- A cascade: the velocities of its active policy, and the memory to pass to the next step.
 
-- `central`, `equivariant`: velocities `(batch, robots, 2)` of positions `(batch, robots, 2)`.
-- `local`: the velocity `(batch, 2)` of one robot from what it alone perceives, `(batch, others, 2)`, in its own frame.
-- a cascade: the velocities of the policy that is in charge, and what it has to remember until the next step.
+The shield of a run is part of its programs. Its scheduler is not: it says when a robot looks, and then the robot runs
+the model. A program that contains classes of a user's own is for swarms of the run's own size, because such a class
+need not work with a symbolic number of robots.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -19,18 +22,21 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from murmurate.errors import InputError
-from murmurate.policies.local import LocalNetwork
+from murmurate.registry import Strategy
 from murmurate.runs.run import Run
 from murmurate.types import Observation, View
-from murmurate.world import Configuration, Objective
+from murmurate.world import Configuration, Objective, WorldConfig
 
-__all__ = ["LARGEST", "Program", "cascade", "objective", "policy"]
+__all__ = ["MAX_ROBOTS", "Program", "cascade_program", "objective", "policy_program"]
 
-LARGEST = 256
-"""Largest swarm that a cascade for any number of robots serves: its memory holds that swarm's window of rest."""
+MAX_ROBOTS = 256
+"""Largest swarm for which a cascade for any number of robots works: its memory holds that swarm's window of rest."""
 
-_CHARGE, _SINCE, _OBJECTIVE, _CHANGES = 0, 1, 2, 3
-"""Columns of a cascade's memory; the changes fill the rest."""
+POSITIONS = "of all robots, world units"
+VELOCITIES = "world units per step, within the speed limit"
+
+_ACTIVE_POLICY, _STEPS_ACTIVE, _OBJECTIVE, _CHANGES = 0, 1, 2, 3
+"""Columns of a cascade's memory; the recent changes of the objective fill the rest."""
 
 
 @dataclass(frozen=True)
@@ -38,20 +44,141 @@ class Program:
     """A function to be exported.
 
     Attributes:
-        function: The function itself: arrays in, a tuple of arrays out.
-        inputs: Shape of each input by name; `batch` and `robots` or `others` stand for any number.
+        function: The function: arrays in, a tuple of arrays out.
+        inputs: Shape of each input by name; `batch`, `robots` and `others` stand for any number.
         outputs: Names of the outputs.
-        about: What whoever runs it should know, by name.
+        metadata: What a user of the model should know, by name.
+        foreign: The parts that are classes of a user's own, by the field of the configuration that names them.
+        policy: Place of the only policy; None for a cascade, which has memory.
     """
 
     function: Callable[..., tuple[Array, ...]]
-    inputs: dict[str, tuple[int | str, ...]]
+    inputs: Mapping[str, tuple[int | str, ...]]
     outputs: tuple[str, ...]
-    about: dict[str, str]
+    metadata: Mapping[str, str]
+    foreign: Mapping[str, Strategy]
+    policy: int | None = None
 
 
-class _Scale(NamedTuple):
-    """All that depends on how large the swarm is."""
+def policy_program(run: Run, index: int) -> Program:
+    """Returns the program of one policy of a run.
+
+    Args:
+        run: The run.
+        index: Place of the policy in the list.
+
+    Raises:
+        InputError: There is no policy at that place.
+    """
+    policies = run.cascade.policies
+    if not 0 <= index < len(policies):
+        allowed = "0, the only policy" if len(policies) == 1 else f"0 to {len(policies) - 1}"
+        raise InputError("--policy", index, f"{allowed} of {run.folder}")
+    policy, experiment = policies[index], run.experiment
+    foreign = _foreign(policy=experiment.policy, shield=experiment.shield)
+    if experiment.policy.perceives:
+        return _view_program(run, index, foreign)
+    robots = _robots(run, foreign)
+    # Without a shield, velocities do not depend on the sides of the world, and there is no limit to the swarm's size.
+    sizes = None if experiment.shield.is_trivial else _sizes(run, foreign)
+
+    def act(positions: Array) -> tuple[Array]:
+        world = experiment.world if sizes is None else _world(run, sizes(positions.shape[1]))
+        return (_batch_first(_shielded(run, policy, _batch_last(positions), world)),)
+
+    metadata = _metadata(run, str(index), positions=POSITIONS, velocities=VELOCITIES)
+    return Program(act, {"positions": ("batch", robots, 2)}, ("velocities",), metadata, foreign, index)
+
+
+def cascade_program(run: Run) -> Program:
+    """Returns the program of a run's whole cascade, which carries its memory from step to step.
+
+    Raises:
+        InputError: The robots act on their own views, and there are several policies: no robot alone can tell when the
+            swarm is at rest.
+    """
+    policies, experiment = run.cascade.policies, run.experiment
+    count = len(policies)
+    if experiment.policy.perceives:
+        if count > 1:
+            raise InputError("--policy", None, f"0 to {count - 1}: no robot alone can tell when the next begins")
+        return policy_program(run, 0)
+    signals = {f"signals.{name}": signal for name, signal in experiment.objective_signals.items()}
+    foreign = _foreign(policy=experiment.policy, shield=experiment.shield, **signals)
+    robots, sizes = _robots(run, foreign), _sizes(run, foreign)
+    # In a larger world, rest must last longer: the memory is as wide as the longest window.
+    largest = experiment if isinstance(robots, int) else experiment.of_size(MAX_ROBOTS)
+    width = largest.rest_in_steps.window
+
+    def step(positions: Array, memory: Array) -> tuple[Array, Array]:
+        inner, size = _batch_last(positions), sizes(positions.shape[1])
+        world = _world(run, size)
+        value = _objective(run, inner, world)
+        active_policy, steps_active, changes = _recall(memory, value, count, size)
+        velocities = jnp.zeros_like(inner)
+        for index, policy in enumerate(policies):
+            velocities = jnp.where(active_policy == index, _shielded(run, policy, inner, world), velocities)
+        columns = [active_policy, steps_active + (active_policy < count), value]
+        after = jnp.concatenate([jnp.stack(columns, axis=1), changes], axis=1)
+        return _batch_first(velocities), after
+
+    metadata = _metadata(
+        run,
+        ", ".join(map(str, range(count))),
+        positions=POSITIONS,
+        velocities=f"{VELOCITIES}; 0 once the swarm is at rest",
+        memory="zeros at first, then `after` of the step before; "
+        f"its first number is the active policy, {count} at rest",
+    )
+    inputs = {"positions": ("batch", robots, 2), "memory": ("batch", _CHANGES + width)}
+    return Program(step, inputs, ("velocities", "after"), metadata, foreign)
+
+
+def objective(run: Run, positions: Float[np.ndarray, "batch robots 2"]) -> Float[np.ndarray, " batch"]:
+    """Returns the objective of configurations with the signals' own weights, as a cascade measures it."""
+    robots = positions.shape[1]
+    world = run.experiment.world if robots == run.experiment.world.robots else run.experiment.of_size(robots).world
+    return np.asarray(_objective(run, _batch_last(jnp.asarray(positions)), world))
+
+
+def _view_program(run: Run, index: int, foreign: Mapping[str, Strategy]) -> Program:
+    """Returns the program of one robot that acts on its own view."""
+    policy, experiment = run.cascade.policies[index], run.experiment
+    world = experiment.world
+    others: int | str = world.robots - 1 if foreign else "others"
+    inputs: dict[str, tuple[int | str, ...]] = {"others": ("batch", others, 2)}
+    about = {
+        "others": "positions of the robots that the robot perceives, relative to itself, in its own frame, in a unit "
+        f"in which a robot's radius is {world.radius:g}; (0, 0) stands for no robot",
+        "sensing": f"{experiment.sensing.name}: what the robots perceived in training",
+        "velocity": "in the robot's own frame, world units per step",
+    }
+    if experiment.landmark:
+        inputs["point"] = ("batch", 2)
+        about["point"] = "the gathering point, in the same coordinates"
+    if experiment.sensing.walls:
+        inputs["walls"] = ("batch", 4, 2)
+        about["walls"] = "the nearest point of each wall, in the same coordinates, opposite walls two places apart"
+
+    def act(others: Array, *further: Array) -> tuple[Array]:
+        given = dict(zip(list(inputs)[1:], further, strict=True))
+        x, y = (jnp.transpose(others[:, :, axis])[None] for axis in (0, 1))
+        seen = (x != 0) | (y != 0)
+        ones = jnp.ones_like(x[:, 0])
+        point = jnp.transpose(given["point"]) if "point" in given else jnp.zeros_like(jnp.transpose(others[:, 0]))
+        walls = jnp.moveaxis(given["walls"], 0, -1)[None] if "walls" in given else None
+        view = View(x, y, seen, world.radius * ones, point[0] * ones, point[1] * ones, walls)
+        # NaN in place of what a robot cannot know: a policy that uses it is found out by its velocity.
+        unknown = jnp.full((1, 2, *ones.shape[1:]), jnp.nan, x.dtype)
+        observation = Observation(view, unknown, unknown[:, 0])
+        velocity = experiment.shield(policy(observation), observation, world)
+        return (jnp.transpose(velocity[0]),)
+
+    return Program(act, inputs, ("velocity",), _metadata(run, str(index), **about), foreign, index)
+
+
+class _Size(NamedTuple):
+    """Everything that depends on the number of robots."""
 
     half_width: Any
     half_height: Any
@@ -62,186 +189,90 @@ class _Scale(NamedTuple):
     window: Any
 
 
-def policy(run: Run, index: int) -> Program:
-    """Returns the program of one policy of a run.
+def _sizes(run: Run, foreign: Mapping[str, Strategy]) -> Callable[[Any], _Size]:
+    """Returns what depends on the number of robots as a function of that number."""
+    experiment = run.experiment
 
-    Args:
-        run: The run.
-        index: The policy's place in the list.
+    def size(problem: Any) -> _Size:
+        rest, world = problem.rest_in_steps, problem.world
+        sides = (world.half_width, world.half_height, world.scan_radius)
+        return _Size(*sides, rest.tolerance, rest.switch_tolerance, rest.max_steps, rest.window)
 
-    Raises:
-        InputError: There is no policy at that place.
-    """
-    policies = run.cascade.policies
-    if not 0 <= index < len(policies):
-        allowed = "0, the only policy" if len(policies) == 1 else f"0 to {len(policies) - 1}"
-        raise InputError("--policy", index, f"{allowed} of {run.folder}")
-    chosen = policies[index]
-    about = {**_about(run), "policies": str(index)}
-    if isinstance(chosen, LocalNetwork):
-        return _local(chosen, run, about)
-    return Program(
-        lambda positions: (_batch_first(chosen(_batch_last(positions))),),
-        {"positions": ("batch", _robots(run), 2)},
-        ("velocities",),
-        {**about, "positions": "of all robots, world units", "velocities": "world units per step"},
+    if isinstance(_robots(run, foreign), int):
+        fixed = size(experiment)
+        return lambda robots: fixed
+    # The number of robots is known when the model runs: it is looked up in a table.
+    table = np.array([size(experiment.of_size(robots)) for robots in range(2, MAX_ROBOTS + 1)], np.float32)
+    return lambda robots: _Size(*jnp.asarray(table)[jnp.asarray(robots) - 2])
+
+
+def _world(run: Run, size: _Size) -> WorldConfig:
+    """Returns the world of a swarm of a size, whose sides may be traced."""
+    sides = (size.half_width, size.half_height, size.scan_radius)
+    return eqx.tree_at(
+        lambda world: (world.half_width, world.half_height, world.scan_radius), run.experiment.world, sides
     )
 
 
-def cascade(run: Run) -> Program:
-    """Returns the program of a run's whole cascade, which remembers from one step to the next.
+def _robots(run: Run, foreign: Mapping[str, Strategy]) -> int | str:
+    """Returns the length of the robots' axis: a number, or `robots` for any number."""
+    fixed = bool(foreign) or not run.experiment.policy.any_size
+    return run.experiment.world.robots if fixed else "robots"
 
-    Raises:
-        InputError: The robots act on what they alone perceive, and several policies follow each other: no robot alone
-            can tell when the swarm is at rest.
+
+def _foreign(**parts: Strategy) -> dict[str, Strategy]:
+    return {field: part for field, part in parts.items() if part.is_foreign()}
+
+
+def _shielded(
+    run: Run, policy: Any, positions: Float[Array, "robots 2 batch"], world: WorldConfig
+) -> Float[Array, "robots 2 batch"]:
+    """Returns the velocities of a policy as they are executed: after the shield, within the speed limit."""
+    velocities = run.experiment.shield(policy(positions), positions, world)
+    return jnp.clip(velocities, -world.max_speed, world.max_speed)
+
+
+def _recall(memory: Array, objective: Array, count: int, size: _Size) -> tuple[Array, Array, Array]:
+    """Returns the active policy, for how many steps it has been active, and the recent changes of the objective.
+
+    This is the rule of `discovery.cascade`, one step later: a change is known with the next configuration.
     """
-    policies = run.cascade.policies
-    if run.experiment.policy.perceives:
-        if len(policies) > 1:
-            raise InputError(
-                "--policy", None, f"0 to {len(policies) - 1}: no robot alone can tell when the next begins"
-            )
-        return policy(run, 0)
-    scale = _scale(run)
-    count, width = len(policies), _longest_window(run)
-
-    def step(positions: Array, memory: Array) -> tuple[Array, Array]:
-        inner, sizes = _batch_last(positions), scale(positions.shape[1])
-        now = _objective(run, inner, sizes)
-        charge, since, changes = _remembered(memory, now, count, sizes)
-        velocities = jnp.zeros_like(inner)
-        for index, one in enumerate(policies):
-            velocities = jnp.where(charge == index, one(inner), velocities)
-        active = charge < count
-        columns = [charge, since + active, now]
-        after = jnp.concatenate([jnp.stack(columns, axis=1), changes], axis=1)
-        return _batch_first(velocities), after
-
-    about = {
-        **_about(run),
-        "policies": ", ".join(map(str, range(count))),
-        "positions": "of all robots, world units",
-        "velocities": "world units per step; 0 once the swarm is at rest",
-        "memory": "zeros at first, then what the step before gave; "
-        f"its first number is the policy in charge, {count} at rest",
-    }
-    memory = ("batch", _CHANGES + width)
-    return Program(step, {"positions": ("batch", _robots(run), 2), "memory": memory}, ("velocities", "after"), about)
-
-
-def objective(run: Run, positions: Float[np.ndarray, "batch robots 2"]) -> Float[np.ndarray, " batch"]:
-    """Returns the objective of configurations, all weights 1, as a cascade measures it."""
-    return np.asarray(_objective(run, _batch_last(jnp.asarray(positions)), _scale(run)(positions.shape[1])))
-
-
-def _local(chosen: LocalNetwork, run: Run, about: dict[str, str]) -> Program:
-    world = chosen.world
-    inputs: dict[str, tuple[int | str, ...]] = {"others": ("batch", "others", 2)}
-    if chosen.landmark:
-        inputs["point"] = ("batch", 2)
-    if run.experiment.sensing.walls:
-        inputs["walls"] = ("batch", 4, 2)
-
-    def act(others: Array, *more: Array) -> tuple[Array]:
-        told = dict(zip(list(inputs)[1:], more, strict=True))
-        x, y = (jnp.transpose(others[:, :, axis])[None] for axis in (0, 1))
-        # Whoever is where the robot itself is fills up a batch of views of unequal length.
-        seen = (x != 0) | (y != 0)
-        where = jnp.transpose(told["point"]) if "point" in told else jnp.zeros_like(jnp.transpose(others[:, 0]))
-        walls = jnp.moveaxis(told["walls"], 0, -1)[None] if "walls" in told else None
-        one = jnp.ones_like(x[:, 0])
-        view = View(x, y, seen, world.radius * one, where[0] * one, where[1] * one, walls)
-        # An acting policy looks at its view alone; the rest of an observation serves training.
-        nothing = jnp.zeros((1, 2, 1), x.dtype)
-        velocity = chosen(Observation(view, nothing, nothing[:, 0]))
-        return (jnp.transpose(velocity[0]),)
-
-    words = {
-        "others": "those that the robot perceives, from where it is, in its own frame, "
-        f"robots' radius {world.radius:g}; (0, 0) is nobody",
-        "velocity": "in its own frame, world units per step",
-    }
-    if "walls" in inputs:
-        words["walls"] = "the nearest point of each wall, likewise, opposite walls two places apart"
-    return Program(act, inputs, ("velocity",), {**about, **words})
-
-
-def _remembered(memory: Array, objective: Array, count: int, sizes: _Scale) -> tuple[Array, Array, Array]:
-    """Says which policy is in charge now, for how many steps it has been, and the last changes of the objective.
-
-    As `discovery.cascade` does it, but a step later: a change is known when the next configuration is.
-    """
-    charge, since, changes = memory[:, _CHARGE], memory[:, _SINCE], memory[:, _CHANGES:]
+    active_policy, steps_active = memory[:, _ACTIVE_POLICY], memory[:, _STEPS_ACTIVE]
+    changes = memory[:, _CHANGES:]
     change = jnp.abs(objective - memory[:, _OBJECTIVE])
-    begun = since > 0
+    has_moved = steps_active > 0
     shifted = jnp.concatenate([changes[:, 1:], change[:, None]], axis=1)
-    last = charge == count - 1
-    tolerance = jnp.where(last, sizes.tolerance, sizes.switch_tolerance)
+    is_last = active_policy == count - 1
+    tolerance = jnp.where(is_last, size.tolerance, size.switch_tolerance)
     width = shifted.shape[1]
-    in_window = jnp.arange(width) >= width - sizes.window
-    mean = jnp.sum(jnp.where(in_window, shifted, 0.0), axis=1) / sizes.window
-    rested = (since >= sizes.window) & (mean < tolerance)
-    over = begun & (charge < count) & (rested | (since >= sizes.max_steps))
-    return charge + over, jnp.where(over, 0.0, since), jnp.where(begun[:, None], shifted, changes)
+    in_window = jnp.arange(width) >= width - size.window
+    mean = jnp.sum(jnp.where(in_window, shifted, 0.0), axis=1) / size.window
+    rested = (steps_active >= size.window) & (mean < tolerance)
+    over = has_moved & (active_policy < count) & (rested | (steps_active >= size.max_steps))
+    return (
+        active_policy + over,
+        jnp.where(over, 0.0, steps_active),
+        jnp.where(has_moved[:, None], shifted, changes),
+    )
 
 
-def _objective(run: Run, positions: Float[Array, "robots 2 batch"], sizes: _Scale) -> Float[Array, " batch"]:
-    """Measures the objective as the cascade does, in the world that a swarm of that size has."""
-    experiment = run.experiment
-    world = experiment.world
-    sizes_of_world = (sizes.half_width, sizes.half_height, sizes.scan_radius)
-    world = eqx.tree_at(lambda w: (w.half_width, w.half_height, w.scan_radius), world, sizes_of_world)
-    objective = Objective(experiment.objective_signals)
-    return objective(objective.measure(Configuration(positions, world)))
+def _objective(run: Run, positions: Float[Array, "robots 2 batch"], world: WorldConfig) -> Float[Array, " batch"]:
+    signals = Objective(run.experiment.objective_signals)
+    return signals(signals.measure(Configuration(positions, world)))
 
 
-def _scale(run: Run) -> Callable[[Any], _Scale]:
-    """Returns what depends on the swarm's size, as a function of the size."""
-    experiment = run.experiment
-
-    def of(problem: Any) -> _Scale:
-        rest, world = problem.rest_in_steps, problem.world
-        return _Scale(
-            world.half_width,
-            world.half_height,
-            world.scan_radius,
-            rest.tolerance,
-            rest.switch_tolerance,
-            rest.max_steps,
-            rest.window,
-        )
-
-    if isinstance(_robots(run), int):
-        own = of(experiment)
-        return lambda robots: own
-    table = np.array([of(experiment.of_size(robots)) for robots in range(2, LARGEST + 1)], np.float32)
-
-    def looked_up(robots: Any) -> _Scale:
-        return _Scale(*jnp.asarray(table)[jnp.asarray(robots) - 2])
-
-    return looked_up
-
-
-def _longest_window(run: Run) -> int:
-    """Returns over how many steps the largest swarm that the model serves has to rest."""
-    largest = run.experiment if isinstance(_robots(run), int) else run.experiment.of_size(LARGEST)
-    return largest.rest_in_steps.window
-
-
-def _robots(run: Run) -> int | str:
-    """The axis of robots: a number where a policy knows them by number, any number otherwise."""
-    return run.experiment.world.robots if not run.experiment.policy.any_size else "robots"
-
-
-def _about(run: Run) -> dict[str, str]:
-    world = run.experiment.world
+def _metadata(run: Run, policies: str, **about: str) -> dict[str, str]:
+    experiment, world = run.experiment, run.experiment.world
+    parts = {"policy": experiment.policy, "shield": experiment.shield, "scheduler": experiment.scheduler}
     return {
-        "experiment": run.experiment.name,
-        "kind": run.experiment.policy.name,
+        "experiment": experiment.name,
+        **{name: part.name for name, part in parts.items()},
+        "policies": policies,
         "robots": str(world.robots),
         "radius": f"{world.radius:g}",
         "max_speed": f"{world.max_speed:g}",
         "safe_distance": f"{world.safe_distance:g}",
+        **about,
     }
 
 
