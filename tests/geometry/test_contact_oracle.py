@@ -49,8 +49,8 @@ def test_kernels_agree_with_shapes(robots, long):
             np.testing.assert_array_equal(collides[decided], nearest[decided] <= 2 * radius)
             inside = (np.abs(np.abs(ends) - side / 2) > tolerance * radius).all((-2, -1))
             np.testing.assert_array_equal(leaves[inside], departed[inside])
-            assert decided.mean() > 0.99
-            assert inside.mean() > 0.99
+            assert decided.mean() > 0.9
+            assert inside.mean() > 0.9
     assert 0.01 < collisions / total < 0.99
     assert 0.1 < departures / total < 0.999
 
