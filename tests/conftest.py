@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import fcntl
 import functools
 import gc
 import os
 import shutil
+import sys
 from pathlib import Path
 
 # Before JAX is loaded: one cache of compiled programs for all tests and the processes that they start.
@@ -69,21 +71,27 @@ def unchecked(request):
 
 
 @pytest.fixture(scope="module", autouse=True)
-def few_programs():
-    """Forgets compiled programs before there are too many: each takes memory maps, whose number Linux limits."""
+def _small_process():
+    """Gives back, after every file, what compiling took of the machine."""
     yield
-    if _share_of_memory_maps() > 0.5:
+    if _memory_maps() > 0.5 * MAX_MEMORY_MAPS:
         jax.clear_caches()
         gc.collect()
+    if sys.platform == "linux":  # glibc keeps gigabytes of freed memory
+        with contextlib.suppress(AttributeError):
+            ctypes.CDLL(None).malloc_trim(0)
 
 
-def _share_of_memory_maps() -> float:
+MAX_MEMORY_MAPS = 65530
+"""Linux's usual limit for a process, /proc/sys/vm/max_map_count: a compiled program takes some."""
+
+
+def _memory_maps():
     try:
-        limit = int(Path("/proc/sys/vm/max_map_count").read_text())
         with open("/proc/self/maps", "rb") as maps:
-            return sum(1 for _ in maps) / limit
+            return sum(1 for _ in maps)
     except OSError:  # not Linux
-        return 0.0
+        return 0
 
 
 @pytest.fixture(scope="session")
