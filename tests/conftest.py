@@ -9,7 +9,6 @@ import functools
 import gc
 import os
 import shutil
-import sys
 from pathlib import Path
 
 # Before JAX is loaded: one cache of compiled programs for all tests and the processes that they start.
@@ -72,24 +71,29 @@ def unchecked(request):
 
 @pytest.fixture(scope="module", autouse=True)
 def _small_process():
-    """Gives back, after every file, what compiling took of the machine."""
+    """Forgets compiled programs after a file, once they take much of the machine: they can be read from the cache."""
     yield
-    if _memory_maps() > 0.5 * MAX_MEMORY_MAPS:
+    if _resident_bytes() > 2 << 30 or _memory_maps() > MAX_MEMORY_MAPS / 2:
         jax.clear_caches()
         gc.collect()
-    if sys.platform == "linux":  # glibc keeps gigabytes of freed memory
-        with contextlib.suppress(AttributeError):
-            ctypes.CDLL(None).malloc_trim(0)
+        with contextlib.suppress(AttributeError, OSError):  # a C library other than glibc
+            ctypes.CDLL(None).malloc_trim(0)  # glibc keeps freed memory for itself
 
 
 MAX_MEMORY_MAPS = 65530
-"""Linux's usual limit for a process, /proc/sys/vm/max_map_count: a compiled program takes some."""
+"""Linux's usual limit for a process, /proc/sys/vm/max_map_count: every compiled program takes some."""
+
+
+def _resident_bytes():
+    try:
+        return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    except OSError:  # not Linux
+        return 0
 
 
 def _memory_maps():
     try:
-        with open("/proc/self/maps", "rb") as maps:
-            return sum(1 for _ in maps)
+        return Path("/proc/self/maps").read_bytes().count(b"\n")
     except OSError:  # not Linux
         return 0
 
