@@ -39,7 +39,7 @@ html_copy_source = False
 html_show_sourcelink = False
 html_show_copyright = False
 html_static_path = ["_static"]
-html_css_files = ["tables.css"]
+html_css_files = ["pages.css"]
 
 autodoc_default_options = {"members": True, "imported-members": True, "member-order": "bysource"}
 default_role = "code"  # single backticks in our docstrings mean code, as in Markdown
