@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import fcntl
 import functools
 import gc
@@ -69,21 +70,32 @@ def unchecked(request):
 
 
 @pytest.fixture(scope="module", autouse=True)
-def few_programs():
-    """Forgets compiled programs before there are too many: each takes memory maps, whose number Linux limits."""
+def _small_process():
+    """Forgets compiled programs after a file, once they take much of the machine: they can be read from the cache."""
     yield
-    if _share_of_memory_maps() > 0.5:
+    if _resident_bytes() > 2 << 30 or _memory_maps() > MAX_MEMORY_MAPS / 2:
         jax.clear_caches()
         gc.collect()
+        with contextlib.suppress(AttributeError, OSError):  # a C library other than glibc
+            ctypes.CDLL(None).malloc_trim(0)  # glibc keeps freed memory for itself
 
 
-def _share_of_memory_maps() -> float:
+MAX_MEMORY_MAPS = 65530
+"""Linux's usual limit for a process, /proc/sys/vm/max_map_count: every compiled program takes some."""
+
+
+def _resident_bytes():
     try:
-        limit = int(Path("/proc/sys/vm/max_map_count").read_text())
-        with open("/proc/self/maps", "rb") as maps:
-            return sum(1 for _ in maps) / limit
+        return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
     except OSError:  # not Linux
-        return 0.0
+        return 0
+
+
+def _memory_maps():
+    try:
+        return Path("/proc/self/maps").read_bytes().count(b"\n")
+    except OSError:  # not Linux
+        return 0
 
 
 @pytest.fixture(scope="session")
