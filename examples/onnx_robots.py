@@ -8,8 +8,8 @@ import numpy as np
 import onnxruntime
 
 
-def main(path: str, robots: int | None = None, spacing: float = 6.0, most: int = 3000) -> np.ndarray:
-    """Lets a swarm go from a grid until it is at rest, and returns where it is, `(robots, 2)`, world units."""
+def main(path: str, robots: int | None = None, spacing: float = 6.0, max_steps: int = 3000) -> np.ndarray:
+    """Runs a swarm from a grid until it is at rest; returns its positions, `(robots, 2)`, world units."""
     session = onnxruntime.InferenceSession(path)
     about = session.get_modelmeta().custom_metadata_map
     robots, policies = robots or int(about["robots"]), len(about["policies"].split(","))
@@ -17,7 +17,7 @@ def main(path: str, robots: int | None = None, spacing: float = 6.0, most: int =
     noise = np.random.default_rng(0).uniform(-1, 1, grid.shape)
     positions = (spacing * (grid - grid.mean(axis=0)) + noise).astype(np.float32)[None]  # a batch of one swarm
     memory = np.zeros((1, session.get_inputs()[1].shape[1]), np.float32)
-    for step in range(most):
+    for step in range(max_steps):
         velocities, memory = session.run(None, {"positions": positions, "memory": memory})
         if memory[0, 0] == policies:  # the last policy has brought the swarm to rest
             print(f"{robots} robots at rest after {step} steps")

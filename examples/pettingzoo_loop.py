@@ -1,4 +1,4 @@
-"""Robots as agents of their own: each goes to the landmark, and away from whom it comes too near.
+"""Robots as agents of their own: each goes to the landmark, and away from robots that are too near.
 
 `python examples/pettingzoo_loop.py`.
 """
@@ -10,24 +10,24 @@ import numpy as np
 from murmurate.interop.pettingzoo import parallel_env
 from murmurate.world import VisibleSensing
 
-COMFORTABLE = 6.0
-"""Distance that a robot likes to keep, world units."""
+PREFERRED_DISTANCE = 6.0
+"""Distance that a robot tries to keep, world units."""
 
 
 def velocity(rows: np.ndarray) -> np.ndarray:
-    """Decides on what one robot perceives, in its own frame: `x, y, 1` for each robot seen, and for the landmark."""
+    """Returns the velocity of a robot from what it perceives: `x, y, 1` for each robot seen, and for the landmark."""
     others, landmark = rows[:-1], rows[-1, :2]
     wish = landmark / max(np.linalg.norm(landmark), 1.0)
     for x, y, seen in others:
         distance = np.hypot(x, y)
-        if seen and distance < COMFORTABLE:
-            wish -= (COMFORTABLE / distance - 1) * np.array([x, y]) / distance
+        if seen and distance < PREFERRED_DISTANCE:
+            wish -= (PREFERRED_DISTANCE / distance - 1) * np.array([x, y]) / distance
     return wish.astype(np.float32)
 
 
 def main(robots: int = 6, horizon: int = 200, seed: int = 0) -> float:
-    """Plays one episode; returns the reward that all agents shared."""
-    # Nobody knows where north is, and who is hidden is not seen.
+    """Plays one episode; returns the reward, which all agents share."""
+    # Robots have no common direction, and do not see robots that are hidden by others.
     sensing = VisibleSensing(rotation=True)
     env = parallel_env(robots=robots, objective="C1", sensing=sensing, horizon=horizon)
     observations, infos = env.reset(seed=seed)

@@ -1,4 +1,4 @@
-"""A swarm that moves at random, as one agent of Gymnasium's: `python examples/random_agent.py`."""
+"""A swarm that moves at random, as one agent of Gymnasium: `python examples/random_agent.py`."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ from murmurate.interop.gymnasium import ENV_ID
 
 
 def main(robots: int = 6, episodes: int = 5, horizon: int = 100, seed: int = 0) -> list[int]:
-    """Plays some episodes; returns how long each lasted."""
+    """Plays some episodes; returns the length of each."""
     env = gymnasium.make(ENV_ID, robots=robots, objective="C2", horizon=horizon)
     env.action_space.seed(seed)
     env.reset(seed=seed)
     lengths = []
     for _ in range(episodes):
-        length, gained, over = 0, 0.0, False
+        length, total, over = 0, 0.0, False
         while not over:
             _, reward, terminated, truncated, info = env.step(env.action_space.sample())
-            length, gained, over = length + 1, gained + float(reward), terminated or truncated
-        end = "in a collision or outside the world" if terminated else "at the time limit"
-        print(f"{length} steps, reward {gained:+.3f}, ended {end}; {info['visible']:.0%} of all pairs saw each other")
+            length, total, over = length + 1, total + float(reward), terminated or truncated
+        end = "in contact or outside the world" if terminated else "at the time limit"
+        print(f"{length} steps, reward {total:+.3f}, ended {end}; {info['visible']:.0%} of all pairs saw each other")
         lengths.append(length)
         env.reset()
     env.close()

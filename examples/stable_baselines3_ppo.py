@@ -11,7 +11,7 @@ from murmurate.interop.gymnasium import ENV_ID
 
 
 def main(robots: int = 4, steps: int = 200_000, envs: int = 8, horizon: int = 150, seed: int = 0) -> float:
-    """Trains, then returns the mean reward of an episode."""
+    """Trains; returns the mean reward of an episode afterwards."""
     options = {"robots": robots, "objective": "C1", "horizon": horizon}
     env = VecNormalize(make_vec_env(ENV_ID, n_envs=envs, seed=seed, env_kwargs=options))
     model = PPO("MlpPolicy", env, n_steps=256, batch_size=256, seed=seed, verbose=1)

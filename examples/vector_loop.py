@@ -1,7 +1,7 @@
 """Policy gradients by hand on the vector environment, in NumPy alone: `python examples/vector_loop.py`.
 
-Every robot has the same five weights for each component of its velocity. The swarm learns to come to the origin; for
-patterns without collisions, see `murmurate discover`.
+Every robot has the same five weights for each component of its velocity. The swarm learns to gather at
+the origin. Patterns without collisions are what `murmurate discover` is for.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ DEVIATION, DISCOUNT, RATE = 0.5, 0.9, 0.05
 
 
 def features(positions: np.ndarray) -> np.ndarray:
-    """What each robot's velocity depends on: where it is, where its nearest fellow is, and 1."""
+    """Returns what each robot's velocity depends on: its position, the offset of its nearest neighbour, and 1."""
     offsets = positions[:, None] - positions[:, :, None]
     apart = np.linalg.norm(offsets, axis=-1) + 1e9 * np.eye(positions.shape[1])
     nearest = np.take_along_axis(offsets, apart.argmin(axis=2)[:, :, None, None], axis=2)[:, :, 0]
@@ -25,17 +25,17 @@ def features(positions: np.ndarray) -> np.ndarray:
 
 
 def rewards_to_go(rewards: np.ndarray, over: np.ndarray) -> np.ndarray:
-    """Sums what follows, discounted, up to the end of each episode; time is the first axis."""
-    total, found = np.zeros_like(rewards[0]), np.empty_like(rewards)
+    """Returns the discounted sums of rewards up to the end of each episode; time is the first axis."""
+    total, sums = np.zeros_like(rewards[0]), np.empty_like(rewards)
     for step in reversed(range(len(rewards))):
         total = rewards[step] + DISCOUNT * np.where(over[step], 0, total)
-        found[step] = total
-    return found
+        sums[step] = total
+    return sums
 
 
 def main(updates: int = 60, num_envs: int = 64, robots: int = 5, steps: int = 24, seed: int = 0) -> list[float]:
-    """Trains; returns the mean reward of a step, update by update."""
-    # A new episode begins within the step that ends the last: every row below is one step of one episode.
+    """Trains; returns the mean reward per step at each update."""
+    # A new episode begins in the step that ends the one before, so every row below is one step of one episode.
     envs = gymnasium.make_vec(ENV_ID, num_envs=num_envs, robots=robots, autoreset_mode=AutoresetMode.SAME_STEP)
     rng, weights, history = np.random.default_rng(seed), np.zeros((5, 2)), []
     observation, _ = envs.reset(seed=seed)
@@ -49,7 +49,7 @@ def main(updates: int = 60, num_envs: int = 64, robots: int = 5, steps: int = 24
             over.append(terminated | truncated)
         gains = rewards_to_go(np.array(rewards), np.array(over))
         advantage = (gains - gains.mean()) / (gains.std() + 1e-8)
-        # The gradient of the logarithm of a normal density is its noise over its variance.
+        # The gradient of the log density of a normal distribution is the noise over the variance.
         gradient = np.einsum("teri,terv,te->iv", inputs, noise, advantage) / (DEVIATION**2 * advantage.size)
         weights += RATE * gradient
         history.append(float(np.mean(rewards)))

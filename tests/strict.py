@@ -9,12 +9,16 @@ import jax
 import numpy as np
 from beartype import BeartypeConf, FrozenDict, beartype
 from beartype.roar import BeartypeCallHintViolation
+from jax import export
 
 __all__ = ["check_types"]
 
+_Symbol = type(export.symbolic_shape("robots")[0])
+"""A number of robots in a program for swarms of any size."""
+
 _NUMBERS = {
     float: float | int | np.number | np.ndarray | jax.Array,
-    int: int | np.integer | np.ndarray | jax.Array,
+    int: int | np.integer | np.ndarray | jax.Array | _Symbol,
     bool: bool | np.bool_ | np.ndarray | jax.Array,
 }
 """What a number is under a jit, or as NumPy computes it."""

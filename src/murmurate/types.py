@@ -24,9 +24,9 @@ class View(eqx.Module):
         walls: The nearest point of each wall, opposite walls two places apart; None where walls are not perceived.
     """
 
-    x: Float[Array, "robots robots *batch"]
-    y: Float[Array, "robots robots *batch"]
-    seen: Bool[Array, "robots robots *batch"]
+    x: Float[Array, "robots others *batch"]
+    y: Float[Array, "robots others *batch"]
+    seen: Bool[Array, "robots others *batch"]
     radius: Float[Array, "robots *batch"]
     landmark_x: Float[Array, "robots *batch"]
     landmark_y: Float[Array, "robots *batch"]

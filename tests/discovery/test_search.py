@@ -137,7 +137,7 @@ def test_the_first_sigma_is_the_start_without_noise(unbroken):
 
 def test_every_sigma_is_free_of_collision_and_inside(unbroken):
     for snapshot in unbroken[0]:
-        assert (clearances(np.moveaxis(np.asarray(snapshot.sigma), 0, -1), 1.0) > 0).all()
+        assert (clearances(np.asarray(snapshot.sigma), 1.0) > 0).all()
         assert (np.abs(snapshot.sigma) <= 12).all()
 
 
@@ -222,7 +222,7 @@ def test_sigma_holds_only_what_did_not_end_in_contact(handmade_policies):
     assert sigma.shape == (SIGMA, 4, 2)
     assert (sigma[:, 1, 0] <= 0).all(), "these held still; all others collided"
     assert 1 < len(np.unique(sigma, axis=0)) < SIGMA, "repeated up to its size"
-    assert (clearances(np.moveaxis(sigma, 0, -1), 1.0) > 0).all()
+    assert (clearances(sigma, 1.0) > 0).all()
 
 
 def test_validity_is_the_share_of_valid_episodes(handmade_policies):
@@ -230,7 +230,7 @@ def test_validity_is_the_share_of_valid_episodes(handmade_policies):
     handmade_policies(None)
     discovery = Search(replace(PROBLEM, world=replace(PROBLEM.world, scan_radius=22.5)))
     starts = draw_starts(discovery.world.start, draw_key(PROBLEM, 1, "evaluation"), SIGMA, discovery.world.config)
-    expected = neighbors(np.moveaxis(starts, 0, -1), 22.5).sum(axis=(0, 1)) == 4 * 3
+    expected = neighbors(starts, 22.5).sum(axis=(1, 2)) == 4 * 3
     assert 0 < expected.mean() < 1
     assert discovery.validity((None,), 1) == expected.mean()
 

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import equinox as eqx
 import jax.numpy as jnp
-import jaxtyping
 import numpy as np
 import pytest
 
@@ -31,14 +30,6 @@ REST = {"max_steps": 15, "window": 3, "switch_tolerance": 0.004, "tolerance": 0.
 """So that some policies come to rest and others are cut off."""
 
 pytestmark = pytest.mark.filterwarnings("ignore:::(jax2onnx|onnx|onnx_ir|flax|orbax|google).*")
-
-
-@pytest.fixture(scope="module", autouse=True)
-def unchecked_types():
-    """Switches the checks of types off: to them a symbolic number of robots is no number."""
-    jaxtyping.config.update("jaxtyping_disable", True)
-    yield
-    jaxtyping.config.update("jaxtyping_disable", False)
 
 
 def untrained(kind, policies=2, objective="C2", seed=0, factor=1, walls=False):

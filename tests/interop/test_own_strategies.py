@@ -28,11 +28,7 @@ with warnings.catch_warnings():
     warnings.simplefilter("ignore")  # of what the converter imports
     from murmurate.interop import onnx
 
-pytestmark = [
-    pytest.mark.filterwarnings("ignore:::(jax2onnx|onnx|onnx_ir|flax|orbax|google).*"),
-    # Symbolic numbers of robots are no arrays to the checker of types.
-    pytest.mark.unchecked,
-]
+pytestmark = pytest.mark.filterwarnings("ignore:::(jax2onnx|onnx|onnx_ir|flax|orbax|google).*")
 
 ROBOTS = 3
 SMALL = EquivariantPolicy(hidden=(8, 4))

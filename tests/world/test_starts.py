@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from murmurate.errors import InputError
-from murmurate.geometry import clearances, distances
+from murmurate.geometry._batch_last import clearances, distances
 from murmurate.world import (
     DistributedStart,
     FileStart,
@@ -64,13 +64,13 @@ def assert_clean(positions, world):
 
 
 @pytest.mark.parametrize("kind", LAYOUTS)
-@pytest.mark.parametrize("robots", range(2, 41))
-def test_layouts_of_any_number_of_robots(kind, robots):
-    world = roomy(robots)
-    for lines in (1, 2, 3) if kind == "packed" else (1,):
-        points = layout(start_of(kind, **({"lines": lines} if kind == "packed" else {})), world)
-        assert points.shape == (robots, 2)
-        assert_clean(points[:, :, None], world)
+def test_layouts_of_any_number_of_robots(kind):
+    for robots in range(2, 41):
+        world = roomy(robots)
+        for lines in (1, 2, 3) if kind == "packed" else (1,):
+            points = layout(start_of(kind, **({"lines": lines} if kind == "packed" else {})), world)
+            assert points.shape == (robots, 2)
+            assert_clean(points[:, :, None], world)
 
 
 @pytest.mark.parametrize("robots", [2, 13, 40])

@@ -26,13 +26,13 @@ FOLDER = "tensorboard"
 """Folder of the events inside a run folder."""
 
 _POSITION = ("environment_steps", "name", "seconds")
-"""Columns of metrics that say where on the curves a row belongs."""
+"""Columns of metrics that are coordinates of the curves, not curves."""
 
 
 class Events:
     """Writes the new rows of runs' metrics as events, over the steps of the environment.
 
-    A run's events are written anew at its first call, so that rows that an interruption lost are not there.
+    At the first call for a run, all its events are written anew, without the rows that an interruption lost.
 
         with Events() as events:
             discover(config, folder, on_metrics=events)
@@ -43,7 +43,7 @@ class Events:
         self._read: dict[Path, int] = {}
 
     def __call__(self, folder: Path) -> None:
-        """Writes the rows that a run's metrics have gained.
+        """Writes the rows of a run's metrics that are new since the last call.
 
         Raises:
             RunError: The metrics are damaged, or the events cannot be written.

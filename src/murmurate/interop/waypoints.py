@@ -1,7 +1,7 @@
-"""Recorded ways into a pattern as multi-robot test beds take them: time-stamped waypoints in metres.
+"""Recorded episodes for multi-robot test beds: time-stamped waypoints in metres.
 
-A world has no unit of length or time, so both scales are stated: metres for a world unit, seconds for a step. What is
-written is judged as it is written: whether robots keep apart at any moment, and how fast they have to be.
+A world has no unit of length or time, so both scales are stated: metres per world unit, seconds per step. The numbers
+are checked as they are written, after rounding: that robots keep apart at any moment, and how fast they have to be.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ DIGITS = 6
 
 @dataclass(frozen=True)
 class Scale:
-    """How large a world unit is, how long a step takes, and what the robots are that are to follow.
+    """The scales of length and time, and the robots that are to follow the waypoints.
 
     Attributes:
         metres: Metres of a world unit.
         seconds: Seconds of a step.
-        robot_radius: Radius of the robots that are to follow, metres; None: the world's, scaled.
-        robot_speed: Speed that they reach, metres per second; None: whatever is needed.
+        robot_radius: Radius of these robots, metres; None: the world's, scaled.
+        robot_speed: Speed that they reach, metres per second; None: not limited.
     """
 
     metres: float = 0.1
@@ -97,13 +97,13 @@ class Waypoints:
         if episodes is not None:
             check_number("--episodes", episodes, 1, len(positions), integer=True)
         chosen = range(len(positions) if episodes is None else episodes)
-        kept = [index for index in chosen if _is_passable(positions[index], experiment)]
-        if not kept:
+        passable = [index for index in chosen if _is_passable(positions[index], experiment)]
+        if not passable:
             raise RunError(f"{folder}: every one of {len(chosen)} episodes ended in contact or outside the world")
-        points = [np.round(scale.metres * positions[index, : lengths[index] + 1], DIGITS) for index in kept]
-        times = [np.round(scale.seconds * np.arange(len(each)), DIGITS) for each in points]
-        left_out = tuple(sorted(set(chosen) - set(kept)))
-        scaled = cls(experiment, scale, tuple(kept), tuple(times), tuple(points), left_out)
+        points = [np.round(scale.metres * positions[index, : lengths[index] + 1], DIGITS) for index in passable]
+        times = [np.round(scale.seconds * np.arange(len(path)), DIGITS) for path in points]
+        left_out = tuple(sorted(set(chosen) - set(passable)))
+        scaled = cls(experiment, scale, tuple(passable), tuple(times), tuple(points), left_out)
         scaled.check()
         return scaled
 
@@ -129,10 +129,10 @@ class Waypoints:
         return self.experiment.world.max_speed * self.scale.metres / self.scale.seconds
 
     def check(self) -> None:
-        """Checks that what is written can be followed: speeds hold, and nobody touches at any moment.
+        """Checks that robots can follow the waypoints: fast enough, and never in contact.
 
         Raises:
-            InputError: It cannot, by the robots that are named.
+            InputError: The robots of `scale` are too slow or too large.
         """
         # A rounded position is off by half a last digit, a difference of two by one.
         slack = 10.0**-DIGITS
@@ -157,7 +157,7 @@ class Waypoints:
         files.write_text(path, self.as_csv() if kind == "csv" else files.to_json(self.as_dict()) + "\n")
 
     def about(self) -> dict[str, Any]:
-        """Returns the scales, and what holds of the waypoints."""
+        """Returns the scales, and the greatest speed and least distance of the waypoints."""
         return {
             "experiment": self.experiment.name,
             "robots": self.experiment.world.robots,
@@ -169,16 +169,16 @@ class Waypoints:
         }
 
     def as_csv(self) -> str:
-        """Returns a table with a row for each waypoint, below lines of comment that state the scales."""
+        """Returns a table with a row for each waypoint, below comment lines with the scales."""
         text = io.StringIO()
         for name, value in self.about().items():
             text.write(f"# {name}: {value}\n")
         rows = csv.writer(text, lineterminator="\n")
         rows.writerow(COLUMNS)
         for episode, times, positions in zip(self.episodes, self.times, self.positions, strict=True):
-            for time, configuration_ in zip(times, positions, strict=True):
+            for time, configuration in zip(times, positions, strict=True):
                 rows.writerows(
-                    (episode, f"{time:g}", robot, *map(_metres, at)) for robot, at in enumerate(configuration_)
+                    (episode, f"{time:g}", robot, *map(_metres, at)) for robot, at in enumerate(configuration)
                 )
         return text.getvalue()
 
@@ -214,8 +214,8 @@ def _nearest(positions: np.ndarray, durations: np.ndarray, velocities: np.ndarra
     """Returns the least distance of two centres at any moment."""
     others = ~np.eye(positions.shape[1], dtype=bool)
     moves = durations[:, None, None] * velocities
-    if not len(moves):  # nobody moved
-        positions, moves = positions, np.zeros_like(positions)
+    if not len(moves):  # an episode of no steps
+        moves = np.zeros_like(positions)
     return float(closest_approach(positions[: len(moves)], moves)[:, others].min())
 
 

@@ -57,10 +57,10 @@ class Surroundings(NamedTuple):
         robot: Scalars of each robot, which do not change either.
     """
 
-    ux: Float[Array, "robots robots *batch"]
-    uy: Float[Array, "robots robots *batch"]
-    logarithm: Float[Array, "robots robots *batch"]
-    pair: Float[Array, "pair_channels robots robots *batch"]
+    ux: Float[Array, "robots others *batch"]
+    uy: Float[Array, "robots others *batch"]
+    logarithm: Float[Array, "robots others *batch"]
+    pair: Float[Array, "pair_channels robots others *batch"]
     robot: Float[Array, "robot_channels robots *batch"]
 
 
@@ -93,8 +93,8 @@ def radial_basis(logarithm: Float[Array, "*shape"], count: int) -> Float[Array, 
 
 
 def normalize_distances(
-    logarithm: Float[Array, "robots robots *batch"], mean: Float[Array, "robots *batch"]
-) -> Float[Array, "robots robots *batch"]:
+    logarithm: Float[Array, "robots others *batch"], mean: Float[Array, "robots *batch"]
+) -> Float[Array, "robots others *batch"]:
     """Rescales distances beyond the safe distance so that neighbours and the mean always lie at the same two values.
 
     On the smallest ring of N robots that all see each other the mean distance grows as N^2. The distance of neighbours
@@ -148,7 +148,7 @@ def relative_spread(
     return jnp.stack([jnp.tanh(logarithm), *gaussians])
 
 
-def _shadows(ux: Array, uy: Array, distance: Array, radius: float) -> Float[Array, "6 robots robots *batch"]:
+def _shadows(ux: Array, uy: Array, distance: Array, radius: float) -> Float[Array, "6 robots others *batch"]:
     """Returns how near third robots come to each line of sight, in units of the angle at which occlusion begins.
 
     For observer k, observed robot i and a third robot j the terms are a bell of j's angular offset, and the bell times
@@ -205,9 +205,9 @@ def surroundings(
 
 
 def pair_and_robot_features(
-    dx: Float[Array, "robots robots *batch"],
-    dy: Float[Array, "robots robots *batch"],
-    apart: Bool[Array, "robots robots *batch"],
+    dx: Float[Array, "robots others *batch"],
+    dy: Float[Array, "robots others *batch"],
+    apart: Bool[Array, "robots others *batch"],
     point_x: Float[Array, "robots *batch"],
     point_y: Float[Array, "robots *batch"],
     basis: int,

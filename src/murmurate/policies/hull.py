@@ -28,15 +28,15 @@ class Hull(NamedTuple):
             radius, whatever their number and distances.
     """
 
-    pair: Float[Array, "edge_channels robots robots *batch"]
+    pair: Float[Array, "edge_channels robots others *batch"]
     robot: Float[Array, "corner_channels robots *batch"]
 
 
 def hull(
-    ux: Float[Array, "robots robots *batch"],
-    uy: Float[Array, "robots robots *batch"],
-    distance: Float[Array, "robots robots *batch"],
-    seen: Bool[Array, "robots robots *batch"],
+    ux: Float[Array, "robots others *batch"],
+    uy: Float[Array, "robots others *batch"],
+    distance: Float[Array, "robots others *batch"],
+    seen: Bool[Array, "robots others *batch"],
 ) -> Hull:
     """Returns the features of each robot's place on the hull of what it sees.
 
