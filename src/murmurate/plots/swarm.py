@@ -193,6 +193,8 @@ def path_segments(
         oldest: Opacity of the oldest piece, as a share of the latest.
         look: The colours.
     """
+    # An episode that starts at rest has no step, and may be recorded with another configuration behind its end.
+    positions = positions[: len(policies) + 1]
     steps, robots = len(positions) - 1, positions.shape[1]
     segments = np.stack([positions[:-1], positions[1:]], axis=2).reshape(-1, 2, 2)
     palette = np.array([to_rgba(color) for color in look.policies])
