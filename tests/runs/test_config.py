@@ -5,16 +5,16 @@ from dataclasses import replace
 import pytest
 
 from murmurate.errors import InputError, RunError
-from murmurate.runs import config_io
+from murmurate.runs import config_io, experiment
 from murmurate.runs.experiment import ExperimentConfig
 from tiny import tiny
 
 
 def test_toml_round_trip(tmp_path):
     wanted = tiny(seed=7, base={"weights": {"visible": 0.5}})
-    config.save(wanted, tmp_path)
-    assert config.load(tmp_path) == wanted
-    config.check_same(wanted, tmp_path)
+    experiment.save(wanted, tmp_path)
+    assert experiment.load(tmp_path) == wanted
+    experiment.check_same(wanted, tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["experiment.toml"]
 
 
@@ -46,20 +46,20 @@ def test_nothing_is_assumed_that_is_not_said():
 
 def test_a_file_of_starts_is_relative_to_the_toml_file(tmp_path):
     (tmp_path / "my.toml").write_text('[start]\nkind = "file"\nfile = "my.csv"\n')
-    assert config.read_toml(tmp_path / "my.toml")["start"]["file"] == str(tmp_path / "my.csv")
+    assert experiment.read_toml(tmp_path / "my.toml")["start"]["file"] == str(tmp_path / "my.csv")
     (tmp_path / "my.toml").write_text('[start]\nkind = "file"\nfile = "/my.csv"\n')
-    assert config.read_toml(tmp_path / "my.toml")["start"]["file"] == "/my.csv"
+    assert experiment.read_toml(tmp_path / "my.toml")["start"]["file"] == "/my.csv"
     (tmp_path / "my.toml").write_text("start = 3\n")
-    assert config.read_toml(tmp_path / "my.toml") == {"start": 3}
+    assert experiment.read_toml(tmp_path / "my.toml") == {"start": 3}
 
 
 def test_a_damaged_configuration_is_one_line(tmp_path):
     with pytest.raises(RunError, match="cannot read"):
-        config.load(tmp_path)
+        experiment.load(tmp_path)
     path = tmp_path / "experiment.toml"
     for text, line in (("x = ", "valid TOML"), ("radius = 1.0", "radius = 1.0: must be a field of"), ("", "given")):
         path.write_text(text)
         with pytest.raises(RunError, match=line) as caught:
-            config.load(tmp_path)
+            experiment.load(tmp_path)
         assert str(path) in str(caught.value)
         assert "\n" not in str(caught.value)

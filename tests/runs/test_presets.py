@@ -38,14 +38,14 @@ def test_table_iv_adds_up_except_in_row_e():
 def test_presets_are_the_papers_experiments(name, learner):
     config, row = presets.preset(name, learner), EXPERIMENTS[name]
     world = config.world
-    assert (config.name, config.objective, config.start.kind, world.robots) == (
+    assert (config.name, config.objective, config.start.name, world.robots) == (
         name,
         row.objective,
         row.start,
         row.robots,
     )
     assert config.start.noise == 2
-    assert config.policy.kind == ("central" if learner == "paper" else learner)
+    assert config.policy.name == ("central" if learner == "paper" else learner)
     assert all(type(value) is float for value in (world.half_width, world.radius, world.scan_radius, world.max_speed))
     if row.objective == "C2":
         assert world.scan_radius >= 2 * math.hypot(world.half_width, world.half_height)
@@ -130,9 +130,9 @@ def test_a_toml_file_says_what_differs(tmp_path):
     [
         ({"world": {"radus": 1.0}}, None, "world.radus = 1.0: must be a field of [world]"),
         ({"wrld": {}}, None, "wrld = {}: must be a field of the configuration"),
-        ({"policy": {"kind": "paper"}}, None, "policy.kind = 'paper': must be one of"),
-        ({"policy": {"kind": []}}, None, "policy.kind = []: must be one of"),
-        ({"policy": "central"}, None, "policy = 'central': must be a table"),
+        ({"policy": {"use": "paper"}}, None, "policy.use = 'paper': must be one of"),
+        ({"policy": {"kind": []}}, None, "policy.use = []: must be one of"),
+        ({"policy": 3}, None, "policy = 3: must be a table"),
         ({}, "best", "learner = 'best': must be one of equivariant, central, local, paper"),
         ({"base": {"weights": {"visible": -1.0}}}, None, "base.weights.visible = -1.0: must be"),
     ],
@@ -150,7 +150,7 @@ def test_unknown_experiments(word):
 
 
 def test_names_and_sizes_are_known_without_jax():
-    code = "import sys, murmurate.runs.paper, murmurate.runs.config_io; sys.exit('jax' in sys.modules)"
+    code = "import sys, murmurate.runs.paper; sys.exit('jax' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
@@ -171,5 +171,5 @@ def parsed(command):
     from murmurate.cli.discover import _parser
 
     _, _, *words = shlex.split(command)
-    options, flags = _parser("F").parse(words)
+    options, flags = _parser("F", words).parse(words)
     return presets.resolve(options.experiment, flags)

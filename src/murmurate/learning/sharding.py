@@ -45,7 +45,7 @@ _MAX_HOSTS = 65536
 # Hosts.
 
 
-def check_address(coordinator: str | None, hosts: int | None, host: int | None) -> None:
+def check_address(coordinator: str | None, hosts: Any, host: Any) -> None:
     """Checks what the command line says about the hosts.
 
     Args:
