@@ -68,7 +68,7 @@ def test_float32_batches_are_the_oracles(gathering, safety):
     ]
     batch = [p for p, d in zip(batch, decided, strict=True) if d]
     assert len(batch) > 16
-    measured = measure(jnp.asarray(np.stack(batch, axis=-1), jnp.float32), gathering=gathering, safety=safety, **SIZES)
+    measured = measure(jnp.asarray(np.stack(batch, axis=-1), jnp.float32), gathering=gathering, safety=safety)
     for index, positions in enumerate(batch):
         for name, value in oracle.signals(positions, gathering, safety=safety, **SIZES).items():
             np.testing.assert_allclose(measured[name][index], value, rtol=1e-5, atol=1e-5, err_msg=name)
