@@ -223,7 +223,6 @@ def test_too_many_robots_are_an_error_and_no_endless_search(kind, robots):
         ("distributed", "spacing", 2.0),
         ("packed", "spacing", float("nan")),
         ("packed", "lines", 0),
-        ("file", "file", ""),
         ("random", "min_window", 0.0),
         ("mixture", "share", 1.5),
         ("symmetric", "family", "star"),
