@@ -29,6 +29,7 @@ KERNELS = [(contacts, np.float64, FLOAT64_TANGENCY), (jax.jit(contacts), np.floa
 def test_kernels_agree_with_shapes(robots, long):
     rng = np.random.default_rng(robots)
     collisions, departures, total = 0, 0, 0
+    undecided, borderline = np.zeros(2), np.zeros(2)  # of each kernel: nearly in contact, nearly at the border
     for positions, radius, side in scenes(robots, long):
         # Steps across a good part of the world, so that many robots pass through one another between the ends.
         velocities = rng.uniform(-0.5, 0.5, positions.shape).astype(np.float32) * np.float32(side / robots)
@@ -40,7 +41,7 @@ def test_kernels_agree_with_shapes(robots, long):
         collisions += (nearest <= 2 * radius).sum()
         departures += departed.sum()
         total += len(positions)
-        for kernels, dtype, tolerance in KERNELS:
+        for number, (kernels, dtype, tolerance) in enumerate(KERNELS):
             answers = kernels(positions.astype(dtype), velocities.astype(dtype), radius, side / 2)
             got_approach, collides, got_distance, leaves = map(np.asarray, answers)
             np.testing.assert_allclose(got_approach, approach, rtol=0, atol=tolerance * radius)
@@ -49,8 +50,10 @@ def test_kernels_agree_with_shapes(robots, long):
             np.testing.assert_array_equal(collides[decided], nearest[decided] <= 2 * radius)
             inside = (np.abs(np.abs(ends) - side / 2) > tolerance * radius).all((-2, -1))
             np.testing.assert_array_equal(leaves[inside], departed[inside])
-            assert decided.mean() > 0.9
-            assert inside.mean() > 0.9
+            undecided[number] += (~decided).sum()
+            borderline[number] += (~inside).sum()
+    assert (undecided / total < 0.01).all()
+    assert (borderline / total < 0.01).all()
     assert 0.01 < collisions / total < 0.99
     assert 0.1 < departures / total < 0.999
 
