@@ -84,7 +84,7 @@ def smallest_ring(robots: int, radius: float, safe_distance: float) -> Ring:
     check_length("radius", radius)
     check_length("safe_distance", safe_distance)
     visible, safe = float(visible_ring_radius(robots, radius)), float(safe_ring_radius(robots, safe_distance))
-    # A hair wider than both, so that rounding breaks neither.
+    # Slightly wider than both, so that rounding breaks neither.
     wide = max(visible, safe) * (1 + 1e-12)
     angles = 2 * math.pi * np.arange(robots) / robots
     return Ring(wide * np.stack([np.cos(angles), np.sin(angles)], axis=1), wide, visible, safe)

@@ -99,7 +99,7 @@ def view_centroid(view: LocalView) -> tuple[Float[Array, "robots *batch"], Float
 
 def limit_norm(x: Array, y: Array, limit: float) -> tuple[Array, Array]:
     """Shortens vectors so that no norm is above the limit."""
-    # A hair less, so that rounding does not lift any above it.
+    # Slightly less, so that rounding does not lift any above it.
     share = (1 - 1e-6) * jnp.minimum(1.0, limit / jnp.sqrt(x * x + y * y + 1e-12))
     return x * share, y * share
 
