@@ -24,7 +24,7 @@ $(VENV)/.dev: $(VENV)/.core
 discover: $(VENV)/.core  ## train (or go on), evaluate and draw one experiment (EXPERIMENT=C SEED=0 OUT=runs/...)
 	$(BIN)/murmurate discover $(EXPERIMENT) --seed $(SEED) --out $(OUT) --resume
 
-test: lint  ## style, types, layers and the tests, on two cores in under 8 minutes
+test: lint  ## style, types, layers and the tests (20 minutes on two cores)
 	$(BIN)/pytest -n 2 --dist loadgroup
 
 test-nightly: lint  ## the long tests besides: Ray, Slurm, several hosts, large swarms, 100,000 configurations
