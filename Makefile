@@ -25,10 +25,10 @@ discover: $(VENV)/.core  ## train (or go on), evaluate and draw one experiment (
 	$(BIN)/murmurate discover $(EXPERIMENT) --seed $(SEED) --out $(OUT) --resume
 
 test: lint  ## style, types, layers and the tests (20 minutes on two cores)
-	$(BIN)/pytest -n 2 --dist loadgroup
+	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 test-nightly: lint  ## the long tests besides: Ray, Slurm, several hosts, large swarms, 100,000 configurations
-	$(BIN)/pytest -n 2 --dist loadgroup -m 'nightly or not nightly'
+	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder -m 'nightly or not nightly'
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .

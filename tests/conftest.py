@@ -14,6 +14,8 @@ from pathlib import Path
 # Before JAX is loaded: one cache of compiled programs for all tests and the processes that they start.
 ROOT = Path(__file__).parents[1]
 os.environ.setdefault("MURMURATE_CACHE", str(ROOT / ".cache"))
+# What a test runs once is compiled in half of the time; see OPTIMIZED.
+os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = "1"
 
 import hypothesis
 import jax
@@ -39,12 +41,26 @@ STRICT_TYPES = {"geometry"}
 """Folders in which no array may change its type by accident either; optax needs the usual rules."""
 
 
-@pytest.hookimpl(tryfirst=True)
+OPTIMIZED = {"analysis", "geometry", "speed"}
+"""Folders whose programs are compiled as users' are: what they compute is checked number by number, and takes longer
+than its compilation."""
+
+FIRST = (
+    "test_docs_blocks.py",
+    "test_sensing_run.py",
+    "test_comparison.py",
+    "test_sizes.py",
+    "test_own_parts.py",
+    "test_onnx.py",
+    "test_own_strategies.py",
+    "test_weights.py",
+)
+"""The files that take longest: they begin first, so that no worker is left alone with one of them at the end."""
+
+
 def pytest_collection_modifyitems(items):
-    """Keeps the tests of a file on one worker, where they share fixtures and compiled programs."""
-    for item in items:
-        if item.get_closest_marker("xdist_group") is None:
-            item.add_marker(pytest.mark.xdist_group(item.path.relative_to(ROOT).as_posix()))
+    """Puts the files that take longest first; a worker takes whole files, which share fixtures and programs."""
+    items.sort(key=lambda item: FIRST.index(item.path.name) if item.path.name in FIRST else len(FIRST))
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -55,6 +71,7 @@ def numerics(request):
         jax.numpy_rank_promotion("allow" if folder in BATCH_LAST else "raise"),
         jax.numpy_dtype_promotion("strict" if folder in STRICT_TYPES else "standard"),
     ):
+        jax.config.update("jax_disable_most_optimizations", folder not in OPTIMIZED)
         yield
 
 

@@ -117,5 +117,5 @@ def check_choice(field: str, value: object, choices: Sequence[str]) -> None:
 def suggestion(word: str, known: Iterable[str]) -> str:
     """Returns "; did you mean ...?" with the known words most like this one, or nothing when none is like it."""
     words = list(known)
-    found = difflib.get_close_matches(word, words, cutoff=0.85) or difflib.get_close_matches(word, words)
-    return f"; did you mean {' or '.join(found)}?" if found else ""
+    close = difflib.get_close_matches(word, words, cutoff=0.85) or difflib.get_close_matches(word, words)
+    return f"; did you mean {' or '.join(close)}?" if close else ""

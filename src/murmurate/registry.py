@@ -140,18 +140,18 @@ class Importer:
             allowed = "trusted before it is imported: load(run, trust=True), or --trust"
             raise InputError(field, use, f"{allowed} ({wanted})")
         try:
-            found: Any = self._module(module)
+            target: Any = self._module(module)
             for part in attribute.split("."):
-                found = getattr(found, part)
+                target = getattr(target, part)
         except Exception as error:  # a user's module may raise anything
             raise InputError(field, use, f"{wanted} that can be imported ({type(error).__name__}: {error})") from None
-        if not (inspect.isclass(found) and issubclass(found, kind)):
+        if not (inspect.isclass(target) and issubclass(target, kind)):
             raise InputError(field, use, f"{wanted}; this is no subclass of it")
-        missing = getattr(found, "__abstractmethods__", frozenset())
+        missing = getattr(target, "__abstractmethods__", frozenset())
         if missing:
             raise InputError(field, use, f"{wanted}; this one lacks {', '.join(sorted(missing))}")
-        _spellings[found] = str(use)
-        return found
+        _spellings[target] = str(use)
+        return target
 
     def _module(self, name: str) -> ModuleType:
         for folder in self.folders:

@@ -7,7 +7,12 @@ import re
 import pytest
 from pages import BY_HAND, DOCS, WRITTEN_BY_PROGRAMS, Reader, copy_run, tokens
 
-SHOWN = [page for page in BY_HAND if not page.startswith("api/")]
+SHOWN = [
+    # Every block of the cookbook compiles a training of its own; tests/own has the same parts.
+    pytest.param(page, marks=[pytest.mark.nightly] if page == "cookbook.md" else [])
+    for page in BY_HAND
+    if not page.startswith("api/")
+]
 
 
 @pytest.fixture(scope="module")

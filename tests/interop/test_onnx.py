@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import importlib.util
 import warnings
 from dataclasses import replace
@@ -115,10 +116,15 @@ def test_a_central_cascade_has_a_dynamic_batch_and_its_own_number_of_robots():
         assert loop(session, configurations(ROBOTS, batch), 2)[0].shape == (batch, 3, ROBOTS, 2)
 
 
+@functools.cache
+def local(objective, walls):
+    run = untrained("local", policies=1, objective=objective, factor=10, walls=walls)
+    return run, onnx.export(run)
+
+
 @pytest.mark.parametrize(("objective", "walls"), [("C1", False), ("C2", False), ("C2", True)])
 def test_a_robot_with_its_own_eyes_moves_by_its_model_as_in_the_world(objective, walls):
-    run = untrained("local", policies=1, objective=objective, factor=10, walls=walls)
-    model = onnx.export(run)
+    run, model = local(objective, walls)
     assert model.difference(run, 200) < onnx.TOLERANCE
     starts = run.starts(40, 1)
     env = run.cascade.env
@@ -144,7 +150,7 @@ def test_a_robot_with_its_own_eyes_moves_by_its_model_as_in_the_world(objective,
 
 
 def test_a_view_may_leave_out_or_fill_up_whom_it_does_not_hold():
-    model = onnx.export(untrained("local", policies=1))
+    model = local("C2", False)[1]
     alone = np.array([[[4.0, 3.0], [-6.0, 1.0]]], np.float32)
     filled = np.concatenate([np.zeros((1, 3, 2), np.float32), alone], axis=1)
     (few,), (many,) = (model.session().run(None, {"others": view}) for view in (alone, filled))

@@ -23,6 +23,7 @@ from tiny import tiny
 
 HERE = Path(__file__).parent
 POLICIES = ("0-base.safetensors", "1-auxiliary.safetensors")
+ONE_POLICY = {"min_policies": 1, "max_policies": 1}
 
 
 @pytest.fixture(scope="module")
@@ -218,9 +219,8 @@ def test_a_training_that_diverges_stops_with_the_update_named(experiment, tmp_pa
 def test_other_sensing_and_shields(tmp_path):
     """From Python, with classes of the interactive session: they act, and the run is not opened without trust."""
     from own.mine import Half, Nearest
-    from tiny import tiny
 
-    config = tiny(policy={"use": "local", "hidden": [8, 4]}, sensing={"use": "visible"})
+    config = tiny(policy={"use": "local", "hidden": [8, 4]}, sensing={"use": "visible"}, discovery=ONE_POLICY)
     run = murmurate.discover(config, out=tmp_path / "run", sensing=Nearest(rotation=True), shield=Half(0.25))
     view = run.cascade.env.env.observe(run.cascade.env.state(jnp.asarray(np.moveaxis(run.starts(2), 0, -1)))).view
     assert (np.asarray(view.seen).sum(axis=1) == 1).all()
@@ -234,7 +234,7 @@ def test_networks_of_a_library_are_trained(tmp_path):
     """Their activation functions are leaves that are no arrays."""
     from own.net import Library
 
-    run = murmurate.discover(tiny(), out=tmp_path / "run", policy=Library(width=6))
+    run = murmurate.discover(tiny(discovery=ONE_POLICY), out=tmp_path / "run", policy=Library(width=6))
     first = np.asarray(run.cascade.policies[0].mlp.layers[0].weight)
     assert first.shape == (6, 6)
     again = murmurate.load(tmp_path / "run", trust=True)

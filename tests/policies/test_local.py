@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -15,8 +17,10 @@ from murmurate.world import Observation, Sensing, WorldConfig
 R, SCAN = 1.0, 40.0
 
 
-def networks(landmark=True, seed=0):
-    policy, value = LocalPolicy(hidden=(16, 8)).networks(WorldConfig(robots=6), landmark, jax.random.key(seed))
+@functools.cache
+def networks(landmark=True):
+    build = eqx.filter_jit(LocalPolicy(hidden=(16, 8)).networks)
+    policy, value = build(WorldConfig(robots=6), landmark, jax.random.key(0))
     # Fresh heads are all but silent: here they speak up.
     heads = (policy.head.weight, policy.to_point.weight)
     louder = eqx.tree_at(lambda p: (p.head.weight, p.to_point.weight), policy, tuple(20 * weight for weight in heads))
@@ -30,8 +34,11 @@ def configuration(seed=0, robots=6):
 
 
 def observed(positions, seed=0, use="global", **fields):
-    sensing = Sensing.registered()[use](**fields)
-    key = jax.random.key(seed)
+    return _observed(Sensing.registered()[use](**fields), positions, jax.random.key(seed))
+
+
+@eqx.filter_jit
+def _observed(sensing, positions, key):
     frames = sensing.draw_frames(key, len(positions))
     view = sensing.view(positions, frames, key, WorldConfig(robots=len(positions), radius=R, scan_radius=SCAN))
     return frames, Observation(view, positions, 45.0 - jnp.abs(positions).max(axis=1))
@@ -40,7 +47,12 @@ def observed(positions, seed=0, use="global", **fields):
 def velocities(policy, positions, seed=0, **sensing):
     """Returns what the robots do, in the world's frame."""
     frames, observation = observed(positions, seed, **sensing)
-    return np.asarray(frames.to_world(policy(observation)))
+    return np.asarray(frames.to_world(act(policy, observation)))
+
+
+@eqx.filter_jit
+def act(network, observation):
+    return network(observation)
 
 
 @pytest.mark.parametrize("use", ["global", "scan", "visible"])
@@ -94,8 +106,8 @@ def test_positions_never_reach_the_acting_policy():
     policy, value = networks()
     _, observation = observed(configuration(), use="visible")
     blind = eqx.tree_at(lambda o: o.positions, observation, observation.positions * jnp.nan)
-    np.testing.assert_array_equal(policy(blind), policy(observation))
-    assert not np.isfinite(np.asarray(value(blind))).any()
+    np.testing.assert_array_equal(act(policy, blind), act(policy, observation))
+    assert not np.isfinite(np.asarray(act(value, blind))).any()
 
 
 @pytest.mark.parametrize("far", [0.0, 0.3, 40.0])
@@ -120,9 +132,10 @@ def test_no_robot_goes_more_than_a_share_of_its_way_to_a_wall_that_it_perceives(
 def test_the_same_weights_act_in_every_swarm(robots):
     policy, value = networks()
     _, observation = observed(configuration(robots=robots), use="visible")
-    assert policy(observation).shape == (robots, 2)
-    assert value(observation).shape == (robots,)
-    speeds = np.linalg.norm(policy(observation), axis=1)
+    chosen = np.asarray(act(policy, observation))
+    assert chosen.shape == (robots, 2)
+    assert act(value, observation).shape == (robots,)
+    speeds = np.linalg.norm(chosen, axis=1)
     assert np.isfinite(speeds).all()
     assert (speeds <= 1.0).all()
 
@@ -130,7 +143,8 @@ def test_the_same_weights_act_in_every_swarm(robots):
 def test_a_robot_alone_and_coincident_robots_are_defined():
     policy, _ = networks()
     for positions in (jnp.asarray([[0.0, 0.0], [100.0, 0.0]]), jnp.zeros((3, 2))):
-        gradient = eqx.filter_grad(lambda p, x: jnp.sum(p(observed(x, use="scan")[1])))(policy, positions)
+        total = eqx.filter_grad(lambda p, x: jnp.sum(p(observed(x, use="scan")[1])))
+        gradient = eqx.filter_jit(total)(policy, positions)
         assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(gradient))
 
 

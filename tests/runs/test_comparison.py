@@ -11,25 +11,23 @@ import pytest
 
 from murmurate.discovery import Cascade
 from murmurate.errors import InputError, RunError
-from murmurate.runs import comparison, comparison_page, train
+from murmurate.runs import comparison, comparison_page
 from murmurate.runs.comparison import Comparison, Condition, ConditionJob, compare, conditions
 from murmurate.runs.execute import LocalProcesses
+from murmurate.runs.run import Run
 from tiny import tiny
 
-LOCAL = {"policy": {"kind": "local", "hidden": [8, 4]}, "start": {"kind": "random"}, "base": {"ppo": {"updates": 1}}}
 NAMES = ["learned", "circle", "random", "circle-central"]
 
 
 @pytest.fixture(scope="module")
-def runs(tmp_path_factory):
-    config = tiny(**LOCAL, discovery={"min_policies": 1, "max_policies": 1})
-    made = train.discover(config, tmp_path_factory.mktemp("comparison") / "run")
-    return {"learned": {"visible": made}}
+def runs(tiny_run):
+    return {"learned": {"visible": Run.open(tiny_run("local"))}}
 
 
 @pytest.fixture(scope="module")
-def setting(runs):
-    base = runs["learned"]["visible"].experiment
+def setting():
+    base = tiny(policy={"use": "local", "hidden": [8, 4]}, start={"use": "random"})
     return Comparison(replace(base, rest=replace(base.rest, max_steps=60, tolerance=1e-3)), episodes=20)
 
 

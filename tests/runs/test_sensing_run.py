@@ -11,31 +11,23 @@ from murmurate.runs import presets, train
 from murmurate.runs.folder import RunFolder
 from murmurate.runs.run import Run
 from murmurate.world import LocalObservation
-from tiny import tiny
+from tiny import KINDS, tiny
 
-EYES = {
-    "use": "visible",
-    "rotation": True,
-    "reflection": True,
-    "unit_ratio": 2.0,
-    "resample_frames": True,
-    "range_noise": 0.01,
-}
-LOCAL = {"policy": {"use": "local", "hidden": [8, 4]}, "sensing": EYES}
+LOCAL = KINDS["local"]
+ONE_POLICY = {"min_policies": 1, "max_policies": 1}
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory):
-    return train.discover(tiny(**LOCAL), tmp_path_factory.mktemp("local") / "run")
+def run(tiny_run):
+    return Run.open(tiny_run("local"))
 
 
 def test_it_is_opened_with_the_eyes_it_was_trained_with(run):
-    again = Run.open(run.folder)
-    assert again.experiment == run.experiment
-    assert RunFolder(run.folder).experiment().sensing.range_noise == 0.01
-    assert isinstance(again.cascade.env, LocalObservation)
-    assert again.cascade.env.sensing.name == "visible"
-    first, second = again.rollout(4, key=1), run.rollout(4, key=1)
+    assert run.experiment == tiny(**LOCAL)
+    assert run.experiment.sensing.range_noise == 0.01
+    assert isinstance(run.cascade.env, LocalObservation)
+    assert run.cascade.env.sensing.name == "visible"
+    first, second = Run.open(run.folder).rollout(4, key=1), run.rollout(4, key=1)
     np.testing.assert_array_equal(first.positions, second.positions)
     assert first.positions.shape[2:] == (3, 2)
     assert RunFolder(run.folder).evaluation()["contact_free"] > 0.5
@@ -61,7 +53,7 @@ def test_runs_without_a_word_on_sensing_perceive_everything(tmp_path):
 
 def test_a_run_has_a_scheduler_of_its_own_and_counts_epochs(tmp_path):
     scheduler = {"use": "async", "max_delay": 1, "max_move_steps": 2, "rigid": False}
-    made = train.discover(tiny(**LOCAL, scheduler=scheduler), tmp_path / "run")
+    made = train.discover(tiny(**LOCAL, scheduler=scheduler, discovery=ONE_POLICY), tmp_path / "run")
     again = Run.open(made.folder)
     assert again.experiment.scheduler == made.experiment.scheduler
     assert again.cascade.rest.window == made.experiment.rest.window * 4
@@ -76,10 +68,11 @@ def test_without_a_scheduler_an_epoch_is_a_step(run):
     assert (ran.epochs == ran.lengths).all()
 
 
-@pytest.mark.parametrize("kind", ["equivariant", "central"])
+@pytest.mark.parametrize("kind", ["central", pytest.param("equivariant", marks=pytest.mark.nightly)])
 def test_every_policy_may_be_scheduled(kind, tmp_path):
     credit = {"credit": "swarm"} if kind == "central" else {}
-    config = tiny(policy={"use": kind, "hidden": [8, 4], **credit}, scheduler={"use": "ssync", "adversarial": True})
+    scheduler = {"use": "ssync", "adversarial": True}
+    config = tiny(policy={"use": kind, "hidden": [8, 4], **credit}, scheduler=scheduler, discovery=ONE_POLICY)
     ran = train.discover(config, tmp_path / "run").rollout(4)
     assert (ran.epochs <= ran.lengths).all()
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,7 +11,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from murmurate.errors import InputError
-from murmurate.world import Activation, Scheduler, SchedulerWrapper, UniformStart, World, WorldConfig
+from murmurate.world import (
+    Activation,
+    Scheduler,
+    SchedulerWrapper,
+    UniformStart,
+    World,
+    WorldConfig,
+    with_array_leaves,
+)
 
 ROBOTS, STEPS, BATCH = 4, 60, 8
 # So far apart that nobody ever meets, in a world that nobody ever leaves.
@@ -34,17 +43,21 @@ def answer(step):
 
 def ran(steps=STEPS, seed=0, **scheduler):
     """Runs a scheduler; returns displacements (steps, robots, 2, batch) and epochs after every step."""
-    env = SchedulerWrapper(world(), scheduler_of(**scheduler))
+    env = with_array_leaves(SchedulerWrapper(world(), scheduler_of(**scheduler)))
     places = jnp.asarray(np.broadcast_to(PLACES[..., None], (ROBOTS, 2, BATCH)))
     answers = jnp.asarray(np.array([answer(t) for t in range(steps)]))
-
-    def one(state, velocity):
-        after, transition = env.step(state, jnp.broadcast_to(velocity[None, :, None], places.shape))
-        return after, (after.positions - state.positions, after.epochs, transition.terminated)
-
-    _, (moved, epochs, ended) = jax.lax.scan(one, env.state(places, seed), answers)
+    moved, epochs, ended = step_through(env, env.state(places, seed), answers)
     assert not ended.any()
     return np.asarray(moved, float), np.asarray(epochs)
+
+
+@eqx.filter_jit
+def step_through(env, state, answers):
+    def step(state, velocity):
+        after, transition = env.step(state, jnp.broadcast_to(velocity[None, :, None], (ROBOTS, 2, BATCH)))
+        return after, (after.positions - state.positions, after.epochs, transition.terminated)
+
+    return jax.lax.scan(step, state, answers)[1]
 
 
 def looks(moved):

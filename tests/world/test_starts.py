@@ -39,10 +39,9 @@ def start_of(use="scattered", **fields):
     return Start.registered()[use](**fields)
 
 
-@eqx.filter_jit
 def draw(start, key, batch, world):
     """Draws a batch, batch last as the kernels below take it."""
-    return jnp.moveaxis(start.sample(key, batch, world), 0, -1)
+    return np.moveaxis(draw_starts(start, key, batch, world), 0, -1)
 
 
 def roomy(robots, **sizes):
@@ -81,7 +80,7 @@ def test_layouts_of_any_number_of_robots(kind):
 def test_layouts_with_noise_are_clean(robots, kind, noise, seed):
     world = roomy(robots)
     config = start_of(kind, noise=noise)
-    positions = np.asarray(draw(config.prepare(world), jax.random.key(seed), BATCH, world))
+    positions = draw(config.prepare(world), jax.random.key(seed), BATCH, world)
     assert positions.shape == (robots, 2, BATCH)
     assert_clean(positions, world)
     centers = layout(config, world)[:, :, None]
@@ -99,16 +98,16 @@ def test_layouts_with_noise_are_clean(robots, kind, noise, seed):
 def test_anywhere_is_clean_however_small_the_window(robots, side, shape, spread, seed):
     """A window too small for the robots would be redrawn for ever."""
     world = roomy(robots, half_width=side, half_height=side * shape)
-    assert_clean(np.asarray(draw(UniformStart(spread), jax.random.key(seed), BATCH, world)), world)
+    assert_clean(draw(UniformStart(spread), jax.random.key(seed), BATCH, world), world)
 
 
 def test_small_windows_are_as_common_as_large_ones():
     """Two windows, each of a log-uniform share of each side; one robot or more in each, or all in one."""
     world = WorldConfig(robots=40, half_width=1000.0, half_height=1000.0, radius=1e-6)
-    positions = np.asarray(draw(UniformStart(0.01), jax.random.key(0), 2000, world))
+    positions = draw(UniformStart(0.01), jax.random.key(0), 2000, world)
     # The first robot and the one nearest to it mostly share a window; the median share is that half-way in logarithms.
     apart = np.abs(positions[1:] - positions[:1]).max(axis=1).min(axis=0) / world.half_width
-    everywhere = np.asarray(draw(UniformStart(), jax.random.key(0), 2000, world))
+    everywhere = draw(UniformStart(), jax.random.key(0), 2000, world)
     spread_out = np.abs(everywhere[1:] - everywhere[:1]).max(axis=1).min(axis=0) / world.half_width
     assert np.median(apart) < 0.35 * np.median(spread_out)
     at_wall = (np.abs(positions) > 990.0).any(axis=(0, 1)).mean()
@@ -126,9 +125,7 @@ def test_a_configuration_that_got_stuck_is_drawn_anew():
 def test_noise_is_uniform_within_its_bounds():
     world = roomy(2)
     config = PackedStart(noise=1.5)
-    offsets = (
-        np.asarray(draw(config.prepare(world), jax.random.key(0), 4096, world)) - layout(config, world)[:, :, None]
-    )
+    offsets = draw(config.prepare(world), jax.random.key(0), 4096, world) - layout(config, world)[:, :, None]
     assert np.abs(offsets).max() <= 1.5 + 1e-5
     shares = np.histogram(offsets, bins=6, range=(-1.5, 1.5))[0] / offsets.size
     np.testing.assert_allclose(shares, 1 / 6, atol=0.01)
@@ -137,7 +134,7 @@ def test_noise_is_uniform_within_its_bounds():
 def test_noise_at_the_border_keeps_to_the_part_inside():
     world = WorldConfig(robots=2, half_width=20.0, half_height=20.0)
     config = ScatteredStart(noise=2.0)
-    positions = np.asarray(draw(config.prepare(world), jax.random.key(0), 4096, world))
+    positions = draw(config.prepare(world), jax.random.key(0), 4096, world)
     np.testing.assert_allclose(layout(config, world), [[20, 0], [-20, 0]], atol=1e-12)
     shares = np.histogram(positions[0, 0], bins=4, range=(18, 20))[0] / 4096
     np.testing.assert_allclose(shares, 1 / 4, atol=0.04)
@@ -189,7 +186,7 @@ def test_a_mixture_draws_the_second_by_its_share():
     """The first start is on the left, the second on the right: each draw tells where it comes from."""
     left, right = (JitteredStart(jnp.array([[[x, -5.0], [x, 5.0]]]), noise=1.0) for x in (-30.0, 30.0))
     for share in (0.0, 0.25, 1.0):
-        positions = np.asarray(draw(MixtureStart(left, right, share), jax.random.key(2), 4096, UNIT))
+        positions = draw(MixtureStart(left, right, share), jax.random.key(2), 4096, UNIT)
         from_right = positions[:, 0] > 0
         assert (from_right[0] == from_right[1]).all(), "a configuration is of one start"
         np.testing.assert_allclose(from_right[0].mean(), share, atol=0.03)
@@ -197,7 +194,7 @@ def test_a_mixture_draws_the_second_by_its_share():
 
 def test_layouts_are_drawn_with_equal_chances():
     points = jnp.stack([jnp.array([[x, -5.0], [x, 5.0]]) for x in (-30.0, 0.0, 30.0)])
-    positions = np.asarray(draw(JitteredStart(points), jax.random.key(3), 4096, UNIT))
+    positions = draw(JitteredStart(points), jax.random.key(3), 4096, UNIT)
     assert (positions[:, 0] == positions[:1, 0]).all()
     shares = np.unique(positions[0, 0], return_counts=True)[1] / 4096
     np.testing.assert_allclose(shares, 1 / 3, atol=0.04)
@@ -257,7 +254,7 @@ class Pairs(Start):
 def test_a_start_of_ones_own_is_kept_apart_and_checked():
     world = WorldConfig(robots=3, half_width=20.0, half_height=20.0)
     start = check_start(Pairs(), world)
-    assert_clean(np.asarray(draw(start, jax.random.key(0), 64, world)), world)
+    assert_clean(draw(start, jax.random.key(0), 64, world), world)
     for flaw, message in (
         ("shape", "whose sample returns float32[16, 3, 2], not float32[16, 2, 2]"),
         ("integers", "not int32[16, 3, 2]"),
@@ -373,7 +370,7 @@ def test_rows_may_come_in_any_order_and_columns_too(tmp_path):
 def test_a_robot_on_the_border_is_inside(tmp_path):
     path = write(tmp_path, HEADER + "0,45.2,0\n0,-45.2,-45.2\n")
     start = check_start(FileStart(file=path), WORLD)
-    assert_clean(np.asarray(draw(start, jax.random.key(0), BATCH, WORLD)), WORLD)
+    assert_clean(draw(start, jax.random.key(0), BATCH, WORLD), WORLD)
 
 
 BAD_FILES = {

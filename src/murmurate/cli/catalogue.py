@@ -39,11 +39,11 @@ def run(argv: Sequence[str]) -> int:
 
     out = Path(options.out)
     catalogues.check_target(out)
-    found = [finding for word in options.runs for finding in catalogues.read_findings(word, options.trust)]
-    if not found:
+    findings = [finding for word in options.runs for finding in catalogues.read_findings(word, options.trust)]
+    if not findings:
         raise RunError(f"no valid pattern was found in {', '.join(options.runs)}")
     scaling, reflection = not options.no_scaling, not options.no_reflection
-    show(Catalogue.from_findings(found, tolerance=options.tolerance, scaling=scaling, reflection=reflection), out)
+    show(Catalogue.from_findings(findings, tolerance=options.tolerance, scaling=scaling, reflection=reflection), out)
     return 0
 
 
@@ -82,8 +82,8 @@ def _plate_pattern(pattern: PatternClass, total: int) -> PlatePattern:
     return plots.PlatePattern(upright(best.positions), best.radius, best.scan_radius, caption, note)
 
 
-def _layers(one: PatternClass) -> str:
-    return "+".join(map(str, one.layers))
+def _layers(pattern_class: PatternClass) -> str:
+    return "+".join(map(str, pattern_class.layers))
 
 
 def _print(catalogue: Catalogue, out: Path) -> None:
@@ -94,16 +94,16 @@ def _print(catalogue: Catalogue, out: Path) -> None:
     header = ("class", "found", "symmetry", "layers", "objective", "gap", "margin", "starts")
     rows = [
         (
-            one.name,
-            str(one.count),
-            one.symmetry.name,
-            _layers(one),
-            f"{one.representative.objective} {one.value:.4f}",
-            table.NONE if one.gap is None else f"{one.gap:.4f}",
-            f"{one.margin:.2f} R",
-            ", ".join(f"{start} {count}" for start, count in one.starts.items()),
+            pattern_class.name,
+            str(pattern_class.count),
+            pattern_class.symmetry.name,
+            _layers(pattern_class),
+            f"{pattern_class.representative.objective} {pattern_class.value:.4f}",
+            table.NONE if pattern_class.gap is None else f"{pattern_class.gap:.4f}",
+            f"{pattern_class.margin:.2f} R",
+            ", ".join(f"{start} {count}" for start, count in pattern_class.starts.items()),
         )
-        for one in catalogue.classes[:MAX_LISTED]
+        for pattern_class in catalogue.classes[:MAX_LISTED]
     ]
     console = Console()
     console.print(table.as_rich(header, rows))

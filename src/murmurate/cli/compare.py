@@ -136,10 +136,10 @@ def _line(row: dict[str, Any]) -> str:
 
 
 def _words(text: str, flag: str) -> list[str]:
-    words = [word.strip() for word in text.split(",")]
-    if not all(words):
+    names = [word.strip() for word in text.split(",")]
+    if not all(names):
         raise InputError(flag, text, "names or numbers, separated by commas")
-    return list(dict.fromkeys(words))
+    return list(dict.fromkeys(names))
 
 
 def _whole(word: str) -> int:

@@ -47,9 +47,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns:
         The exit status. Errors that a user can cause are one line on stderr; any other exception is a defect and rises.
     """
-    words = list(sys.argv[1:] if argv is None else argv)
+    arguments = list(sys.argv[1:] if argv is None else argv)
     try:
-        status = _run(words)
+        status = _run(arguments)
         sys.stdout.flush()
         return status
     except (InputError, RunError, UsageError) as error:
@@ -67,8 +67,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         return error.code if isinstance(error.code, int) else 0
 
 
-def _run(words: list[str]) -> int:
-    verb = words[0] if words else "--help"
+def _run(arguments: list[str]) -> int:
+    verb = arguments[0] if arguments else "--help"
     if verb in ("-h", "--help", "help"):
         print(_help())
         return 0
@@ -83,7 +83,7 @@ def _run(words: list[str]) -> int:
     with warnings.catch_warnings():
         warnings.simplefilter("once", BeyondTrainingWarning)
         warnings.showwarning = _warn
-        return importlib.import_module(f"murmurate.cli.{verb}").run(words[1:])
+        return importlib.import_module(f"murmurate.cli.{verb}").run(arguments[1:])
 
 
 def _warn(message: Warning | str, *_: Any, **__: Any) -> None:

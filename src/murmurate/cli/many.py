@@ -55,9 +55,9 @@ def discover_many(
     except KeyboardInterrupt:
         raise KeyboardInterrupt("interrupted; add --resume to the same command to go on") from None
     print(table.as_markdown(table.RESULTS, table.results(folders, trust=True)), end="")
-    found = [finding for folder in folders for finding in catalogues.read_findings(folder, trust=True)]
-    if not found:
+    findings = [finding for folder in folders for finding in catalogues.read_findings(folder, trust=True)]
+    if not findings:
         print(f"No valid pattern was discovered. The runs are kept in {out}.")
         return NOTHING_VALID
-    show(Catalogue.from_findings(found), catalogue)
+    show(Catalogue.from_findings(findings), catalogue)
     return 0

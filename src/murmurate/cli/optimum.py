@@ -28,10 +28,10 @@ def run(argv: Sequence[str]) -> int:
     from murmurate.analysis.optimum.search import OptimumConfig
     from murmurate.runs import config_io, presets
 
-    found = presets.resolve(word or "C")
-    if found.objective == "custom":
-        raise InputError("objective", found.objective, "C1 or C2")
-    config = OptimumConfig(found.world, found.objective)
+    formations = presets.resolve(word or "C")
+    if formations.objective == "custom":
+        raise InputError("objective", formations.objective, "C1 or C2")
+    config = OptimumConfig(formations.world, formations.objective)
     text = "Searches for the best formation in the world of an experiment; without any word, lists the best known."
     parser = Parser("optimum", "[EXPERIMENT]", text)
     names = f"whose sizes to begin with: {', '.join(EXPERIMENTS)}, or a TOML file (default: C)"
@@ -61,13 +61,13 @@ def _search(config: OptimumConfig, out: Path | None, command: str) -> int:
     from murmurate.analysis.optimum.search import hop, search
     from murmurate.runs import files
 
-    found = search(config)
-    _print_found(config, found)
-    best = found[0]
+    formations = search(config)
+    _print_found(config, formations)
+    best = formations[0]
     if config.hops:
         checked = hop(config)
         print(f"basin hopping, {config.hops} rounds: {checked.value:.7f}{_flaw(checked)}")
-        best = min(best, checked, key=lambda one: (config.only_valid and not one.valid, -one.value))
+        best = min(best, checked, key=lambda formation: (config.only_valid and not formation.valid, -formation.value))
     if config.only_valid and not best.valid:
         print("No valid pattern was found; the best of what was found is not one.")
         return 3
@@ -78,18 +78,18 @@ def _search(config: OptimumConfig, out: Path | None, command: str) -> int:
     return 0
 
 
-def _print_found(config: OptimumConfig, found: list[Formation]) -> None:
+def _print_found(config: OptimumConfig, formations: list[Formation]) -> None:
     sizes = config.world
     what = f"{sizes.robots} robots, {config.objective}, R = {sizes.radius:g}, safe distance {sizes.safe_distance:g}"
-    print(f"{what}: {len(found)} distinct local optima, best first")
-    for one in found[:MAX_LISTED]:
-        signals = config.target.signals(one.positions)
+    print(f"{what}: {len(formations)} distinct local optima, best first")
+    for formation in formations[:MAX_LISTED]:
+        signals = config.target.signals(formation.positions)
         parts = ", ".join(f"{name} {float(value):.6f}" for name, value in signals.items())
-        print(f"  {one.value:.7f}{_flaw(one)}  ({parts})")
+        print(f"  {formation.value:.7f}{_flaw(formation)}  ({parts})")
 
 
-def _flaw(one: Formation) -> str:
-    return "" if one.valid else " not a valid pattern"
+def _flaw(formation: Formation) -> str:
+    return "" if formation.valid else " not a valid pattern"
 
 
 def _print_comparison(config: OptimumConfig, best: Formation) -> None:

@@ -163,13 +163,13 @@ def _check(
     """Evaluates a strategy and compares what it returns with the expected shapes and kind of numbers."""
     kind = jnp.floating if kind is None else kind
     try:
-        found = eqx.filter_jit(function)()
+        result = eqx.filter_jit(function)()
     except InputError:
         raise
     except Exception as error:  # a user's class may raise anything
         reason = " ".join(f"{type(error).__name__}: {error}".split())[:300]
         raise InputError(field, part.name, f"a class that can be evaluated ({reason})") from None
-    for (what, shape), value in zip(expected.items(), found, strict=True):
+    for (what, shape), value in zip(expected.items(), result, strict=True):
         have = f"{getattr(value, 'dtype', type(value).__name__)}{list(getattr(value, 'shape', ()))}"
         name = "float" if kind is jnp.floating else "bool"
         wanted = f"a class whose {what} returns {name}{list(shape)} for {shape[-1]} configurations, not {have}"

@@ -174,8 +174,8 @@ def _step(cascade: Cascade, status: _Status) -> tuple[_Status, tuple[Array, dict
     rested = moving & (recent_changes.mean(axis=0) < tolerance) & ~terminated
     over = rested | (moving & (steps_active >= rest.max_steps))
     # The active policy was still at work at this step; the next one, if any, takes over after it.
-    place = jnp.arange(len(cascade.policies))[:, None]
-    switch = jnp.where(moving & (place >= status.active_policy), length, status.switch)
+    index = jnp.arange(len(cascade.policies))[:, None]
+    switch = jnp.where(moving & (index >= status.active_policy), length, status.switch)
     status = _Status(
         state=after,
         active_policy=status.active_policy + over,

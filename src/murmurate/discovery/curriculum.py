@@ -44,8 +44,8 @@ class Curriculum:
 
     def turn(self, update: int) -> int:
         """Returns the place of the part that an update trains: in every round each once, in an order drawn anew."""
-        number, place = divmod(update, len(self.parts))
-        return int(np.random.default_rng((self.problem.seed, number)).permutation(len(self.parts))[place])
+        number, offset = divmod(update, len(self.parts))
+        return int(np.random.default_rng((self.problem.seed, number)).permutation(len(self.parts))[offset])
 
     def chunk(self, index: int, update: int) -> int:
         """Returns how many updates of a policy run next without visiting the host: all are of one part."""
@@ -58,4 +58,4 @@ class Curriculum:
         per_update = [part.stage(index).steps_per_update for part in self.parts]
         rounds, rest = divmod(updates, len(per_update))
         first = rounds * len(per_update)
-        return rounds * sum(per_update) + sum(per_update[self.turn(first + place)] for place in range(rest))
+        return rounds * sum(per_update) + sum(per_update[self.turn(first + offset)] for offset in range(rest))

@@ -98,10 +98,10 @@ class Stage:
         self.config = curriculum.problem.stage(index)
         self._starts, self._sigmas = starts, sigmas
 
-    def environment(self, place: int) -> Wrapper:
+    def environment(self, part_index: int) -> Wrapper:
         """Returns what the policy is trained in: the problem's environment, with every action kept up."""
-        part = self.curriculum.parts[place]
-        world = training_world(part, self.index, self._starts[place], self._sigmas[place])
+        part = self.curriculum.parts[part_index]
+        world = training_world(part, self.index, self._starts[part_index], self._sigmas[part_index])
         # Robots perceive the world as it is: the margin is in the reward and in what counts as contact alone.
         perceived = with_array_leaves(part.world)
         return ActionRepeat(build_environment(part, world, perceived), jnp.asarray(self.config.repeat, jnp.int32))
@@ -116,27 +116,29 @@ class Stage:
         policy, value = build_networks(problem, draw_key(problem, self.index, "networks"))
         policy = policy if warm_start is None else warm_start
         policy = set_log_std(policy, self.config.ppo.log_std)
-        states = tuple(self._worlds(place) for place in range(len(self.curriculum.parts)))
+        states = tuple(self._worlds(part_index) for part_index in range(len(self.curriculum.parts)))
         return init(policy, value, states, draw_key(problem, self.index, "training"))
 
     def next_chunk(self, train: TrainState) -> Chunk:
         """Returns the updates to run next."""
         update = int(train.update)
-        place = self.curriculum.turn(update)
-        ppo = self.curriculum.parts[place].stage(self.index).ppo
-        train = eqx.tree_at(lambda t: t.env_state, train, train.env_state[place])
+        part_index = self.curriculum.turn(update)
+        ppo = self.curriculum.parts[part_index].stage(self.index).ppo
+        train = eqx.tree_at(lambda t: t.env_state, train, train.env_state[part_index])
         updates = self.curriculum.chunk(self.index, update)
-        return Chunk(train, self.environment(place), Hyperparameters.from_config(ppo), Shape.from_config(ppo), updates)
+        return Chunk(
+            train, self.environment(part_index), Hyperparameters.from_config(ppo), Shape.from_config(ppo), updates
+        )
 
     def after_chunk(
         self, before: TrainState, trained: TrainState, metrics: dict[str, Any]
     ) -> tuple[TrainState, list[dict[str, Any]]]:
         """Returns the state of the training after a chunk of updates, and a row of metrics for each update."""
-        place, done = self.curriculum.turn(int(before.update)), int(trained.update)
-        states = (*before.env_state[:place], trained.env_state, *before.env_state[place + 1 :])
+        part_index, done = self.curriculum.turn(int(before.update)), int(trained.update)
+        states = (*before.env_state[:part_index], trained.env_state, *before.env_state[part_index + 1 :])
         trained = eqx.tree_at(lambda t: t.env_state, trained, states)
         metrics = jax.device_get(metrics)
-        count, robots = len(metrics["reward"]), self.curriculum.parts[place].world.robots
+        count, robots = len(metrics["reward"]), self.curriculum.parts[part_index].world.robots
         rows = []
         for number in range(count):
             update = done - count + number + 1
@@ -150,12 +152,12 @@ class Stage:
         """Returns whether the last update has been run."""
         return int(train.update) >= self.config.ppo.updates
 
-    def _worlds(self, place: int) -> Any:
+    def _worlds(self, part_index: int) -> Any:
         """Begins the parallel episodes that the policy is trained in."""
-        part = self.curriculum.parts[place]
+        part = self.curriculum.parts[part_index]
         stage = part.stage(self.index)
         worlds, clock = jax.random.split(draw_key(part, self.index, "worlds"))
-        state = _reset(self.environment(place), worlds, stage.ppo.worlds)
+        state = _reset(self.environment(part_index), worlds, stage.ppo.worlds)
         # Episodes that all began together would all end together, and every batch would hold one age only.
         step = state.unwrapped.step
         ages = jax.random.randint(clock, step.shape, 0, stage.horizon, step.dtype)

@@ -286,11 +286,11 @@ def truncate_rows(path: str | Path, count: int) -> None:
     path = Path(path)
     with os_errors_as_run_errors(f"cannot read {path}"):
         lines = path.read_bytes().splitlines(keepends=True) if path.exists() else []
-    kept = [line for line in lines[:count] if line.endswith(b"\n")]
-    if len(kept) < count:
-        raise RunError(f"{path} has {len(kept)} rows, but the checkpoint was saved after {count}")
+    complete = [line for line in lines[:count] if line.endswith(b"\n")]
+    if len(complete) < count:
+        raise RunError(f"{path} has {len(complete)} rows, but the checkpoint was saved after {count}")
     if len(lines) > count:
-        write_bytes(path, b"".join(kept))
+        write_bytes(path, b"".join(complete))
 
 
 # Trees of arrays, as policies and training states are: safetensors files, bit for bit

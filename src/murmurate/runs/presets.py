@@ -209,15 +209,15 @@ def command(config: ExperimentConfig) -> str:
     if config.name not in EXPERIMENTS:
         return shlex.join(["murmurate", "discover", f"{config.name}.toml", "--seed", str(config.seed)])
     policy = config.policy.name
-    words = ["murmurate", "discover", config.name, "--seed", str(config.seed)]
-    words += ["--policy", policy] if policy != DEFAULT_LEARNER else []
+    arguments = ["murmurate", "discover", config.name, "--seed", str(config.seed)]
+    arguments += ["--policy", policy] if policy != DEFAULT_LEARNER else []
     learner = policy if policy in TRAINING_PRESETS else DEFAULT_LEARNER
     usual = {leaf.path: leaf.value for leaf in config_io.leaves(preset(config.name, learner))}
     for leaf in config_io.leaves(config):
         is_given = leaf.path in ("seed", "policy.use") or leaf.path.startswith("modules.")
         if not is_given and leaf.value != usual.get(leaf.path):
-            words += [f"--{leaf.path}", config_io.spelled(leaf.value)]
-    return shlex.join(words)
+            arguments += [f"--{leaf.path}", config_io.spelled(leaf.value)]
+    return shlex.join(arguments)
 
 
 def paper_row(config: ExperimentConfig) -> PaperExperiment | None:

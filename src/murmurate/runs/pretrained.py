@@ -19,8 +19,8 @@ FOLDER = Path(murmurate.__file__).parent / "pretrained"
 
 def available() -> dict[str, tuple[str, ...]]:
     """Returns the objectives that there are weights for, and for which kinds of sensing."""
-    found = sorted((path.parent.parent.name, path.parent.name) for path in FOLDER.glob(f"*/*/{MANIFEST}"))
-    return {objective: tuple(one for name, one in found if name == objective) for objective, _ in found}
+    available = sorted((path.parent.parent.name, path.parent.name) for path in FOLDER.glob(f"*/*/{MANIFEST}"))
+    return {objective: tuple(sensing for name, sensing in available if name == objective) for objective, _ in available}
 
 
 def pretrained(objective: str = "C2", sensing: str = "visible", scheduler: str = "fsync") -> Run:

@@ -49,10 +49,10 @@ def start_process(
     Returns:
         The process. It ends when its stdin closes, and so when this process ends.
     """
-    words = [spec, "--threads", str(threads), "--gpus", str(gpus)]
+    arguments = [spec, "--threads", str(threads), "--gpus", str(gpus)]
     with (Path(json.loads(spec)["folder"]) / LOG).open("ab") as log:
         return subprocess.Popen(
-            [sys.executable, "-P", "-m", "murmurate.runs.worker", *words],
+            [sys.executable, "-P", "-m", "murmurate.runs.worker", *arguments],
             env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)} | dict(environment or {}),
             stdin=subprocess.PIPE,
             stdout=log,

@@ -1,7 +1,7 @@
 """The Markov decision process: world, signals, objective, starts, sensing and schedulers. Knows nothing of learning."""
 
 from murmurate.types import Observation, Transition, View
-from murmurate.world.config import WorldConfig, scaled_to
+from murmurate.world.config import WorldConfig, scaled_to, with_array_leaves
 from murmurate.world.env import (
     ActionRepeat,
     LocalObservation,
@@ -11,7 +11,6 @@ from murmurate.world.env import (
     State,
     World,
     Wrapper,
-    with_array_leaves,
 )
 from murmurate.world.scheduling import (
     Activation,

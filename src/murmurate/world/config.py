@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
 
 from murmurate.errors import MAX_MAGNITUDE, InputError, check_choice, check_number
 
-__all__ = ["Safety", "WorldConfig", "scaled_to"]
+__all__ = ["Safety", "WorldConfig", "scaled_to", "with_array_leaves"]
 
 Safety = Literal["penalty", "shell"]
 
@@ -86,3 +88,8 @@ def scaled_to(world: WorldConfig, robots: int) -> WorldConfig:
 
 def _half_side(robots: int) -> float:
     return max(20 + 2.5 * robots, 0.175 * robots**2)
+
+
+def with_array_leaves(tree: Any) -> Any:
+    """Turns the Python floats of a PyTree into arrays, so that changing one does not recompile what uses it."""
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32) if isinstance(leaf, float) else leaf, tree)

@@ -33,7 +33,6 @@ __all__ = [
     "World",
     "WrappedState",
     "Wrapper",
-    "with_array_leaves",
 ]
 
 
@@ -443,8 +442,3 @@ class SchedulerWrapper(Wrapper):
             completed_epochs=state.completed_epochs + epoch,
             key=state.key,
         ), transition
-
-
-def with_array_leaves(tree: Any) -> Any:
-    """Turns the Python floats of a PyTree into arrays, so that changing one does not recompile what uses it."""
-    return jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32) if isinstance(leaf, float) else leaf, tree)

@@ -26,7 +26,7 @@ from murmurate import prng
 from murmurate.errors import MAX_INTEGER, InputError, check_choice, check_number
 from murmurate.geometry import _batch_last
 from murmurate.registry import Strategy
-from murmurate.world.config import WorldConfig
+from murmurate.world.config import WorldConfig, with_array_leaves
 
 __all__ = [
     "DistributedStart",
@@ -420,7 +420,7 @@ def draw_starts(
     start: Start, key: PRNGKeyArray, count: int, world: WorldConfig
 ) -> Float[np.ndarray, "starts robots 2"]:
     """Draws configurations, world units, from a prepared start."""
-    return np.asarray(_draw(start, key, count, world))
+    return np.asarray(_draw(with_array_leaves(start), key, count, with_array_leaves(world)))
 
 
 # Outside of a jit, the loop that redraws overlaps would be compiled anew at every call.
@@ -441,15 +441,15 @@ def check_start(start: Start, world: WorldConfig) -> Start:
     prepared = start.prepare(world)
     key = prng.key(0)
     try:
-        found = eqx.filter_eval_shape(prepared.sample, key, TRIALS, world)
+        sampled = eqx.filter_eval_shape(prepared.sample, key, TRIALS, world)
     except InputError:
         raise
     except Exception as error:  # a user's start may raise anything
         raise InputError("start", start.name, f"a start that can be drawn ({type(error).__name__}: {error})") from None
     wanted = (TRIALS, world.robots, 2)
-    shape, dtype = getattr(found, "shape", None), getattr(found, "dtype", None)
+    shape, dtype = getattr(sampled, "shape", None), getattr(sampled, "dtype", None)
     if shape != wanted or dtype is None or not jnp.issubdtype(dtype, jnp.floating):
-        what = f"{dtype}{list(shape)}" if shape is not None else type(found).__name__
+        what = f"{dtype}{list(shape)}" if shape is not None else type(sampled).__name__
         raise InputError("start", start.name, f"a start whose sample returns float32{list(wanted)}, not {what}")
     if _surely_fits(prepared, world):
         return prepared

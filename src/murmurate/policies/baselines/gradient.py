@@ -97,10 +97,10 @@ def _missing_gaps(i: int, x: Array, y: Array, distance: Array, view: LocalView, 
     other = other.at[:, i].set(False)
     ix, iy, far = x[:, i, None], y[:, i, None], distance[:, i, None]
     # In the robot's own view each pair occurs twice, once for each of its robots.
-    own = _missing(x, y, distance, ix, iy, far, other, world) / 2
+    deficit = _missing(x, y, distance, ix, iy, far, other, world) / 2
     jx, jy = x - ix, y - iy
     from_i = _missing(jx, jy, _norm(jx, jy), -ix, -iy, far, other, world)
-    return jnp.sum(jnp.where(other, own + from_i, 0.0), axis=1)
+    return jnp.sum(jnp.where(other, deficit + from_i, 0.0), axis=1)
 
 
 def _missing(ax: Array, ay: Array, a: Array, bx: Array, by: Array, b: Array, other: Array, world: WorldConfig) -> Array:
