@@ -28,7 +28,7 @@ test: lint  ## style, types, layers and the tests (20 minutes on two cores)
 	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 test-nightly: lint  ## the long tests besides: Ray, Slurm, several hosts, large swarms, 100,000 configurations
-	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder -m 'nightly or not nightly'
+	MURMURATE_TEST_COMPILER=full $(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder -m 'nightly or not nightly'
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .

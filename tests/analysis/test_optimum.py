@@ -37,7 +37,7 @@ def test_annealing_alone_is_as_many_ends_as_are_polished():
 
 
 def test_basin_hopping_agrees_with_annealing():
-    config = OptimumConfig(WORLD, "C1", annealing=SHORT, polished=6, hops=12)
+    config = OptimumConfig(WORLD, "C1", annealing=SHORT, polished=3, hops=4)
     checked = hop(config)
     assert checked.valid
     assert checked.value == pytest.approx(search(config)[0].value, abs=1e-8)

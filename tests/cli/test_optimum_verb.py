@@ -33,7 +33,7 @@ def test_a_search_stands_beside_what_is_known(tmp_path, capsys):
 
 
 def test_where_no_pattern_is_valid_it_says_so(capsys):
-    words = ["optimum", "C", "--world.robots", "5", "--world.scan_radius", "6", *SHORT]
+    words = ["optimum", "C", "--world.robots", "5", "--world.scan_radius", "6", *SHORT, "--hops", "1"]
     assert main(words) == 3
     assert "No valid pattern was found" in capsys.readouterr().out
 

@@ -12,16 +12,18 @@ from hypothesis import strategies as st
 from murmurate.policies.hull import FAR_OUT, hull
 from oracles.hull import corner
 
+measure = jax.jit(hull)
+
 
 def seen_hull(positions, seen=None):
     """Measures the hull in radii of 1 from absolute positions, whoever is seen."""
-    positions = jnp.asarray(positions, jnp.float32)
-    robots = len(positions)
-    seen = ~np.eye(robots, dtype=bool) if seen is None else np.asarray(seen)
+    positions = np.asarray(positions, np.float32)
+    seen = ~np.eye(len(positions), dtype=bool) if seen is None else np.asarray(seen)
     x, y = (positions[None, :, a] - positions[:, None, a] for a in (0, 1))
-    distance = jnp.where(seen, jnp.hypot(x, y), 1.0)
-    ux, uy = (jnp.where(seen & (distance > 0), a / jnp.where(distance > 0, distance, 1.0), 0.0) for a in (x, y))
-    return hull(ux, uy, distance, jnp.asarray(seen) & (distance > 0))
+    distance = np.where(seen, np.hypot(x, y), np.float32(1))
+    apart = seen & (distance > 0)
+    ux, uy = (np.where(apart, a / np.where(distance > 0, distance, 1), 0).astype(np.float32) for a in (x, y))
+    return measure(ux, uy, distance, apart)
 
 
 def bulges(found):
@@ -30,7 +32,7 @@ def bulges(found):
     return np.sqrt(np.maximum(1 / np.sqrt(np.maximum(near, 1e-12)) - 1, 0)), FAR_OUT * far / (1 - far)
 
 
-@given(seed=st.integers(0, 2**32 - 1), robots=st.integers(3, 12))
+@given(seed=st.integers(0, 2**32 - 1), robots=st.sampled_from([3, 4, 7, 12]))
 def test_it_is_what_sorted_angles_say(seed, robots):
     positions = np.random.default_rng(seed).uniform(-20, 20, (robots, 2))
     found = seen_hull(positions)
@@ -53,7 +55,7 @@ def test_it_is_what_sorted_angles_say(seed, robots):
 
 def test_neighbours_on_the_smallest_ring_stand_out_alike_whatever_their_number():
     heights = []
-    for robots in (16, 64, 256):
+    for robots in (16, 256):
         angle = 2 * np.pi * np.arange(robots) / robots
         ring = 0.0759 * robots**2 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
         heights.append(float(bulges(seen_hull(ring))[1].mean()))
@@ -95,13 +97,13 @@ def test_on_a_line_nobody_stands_out_not_even_by_rounding():
     rng = np.random.default_rng(3)
     along = np.sort(rng.uniform(-300, 300, (4, 50)), axis=0)
     angle = rng.uniform(0, 2 * np.pi, 50)
-    positions = jnp.asarray(np.stack([along * np.cos(angle), along * np.sin(angle)], axis=1), jnp.float32)
+    positions = np.stack([along * np.cos(angle), along * np.sin(angle)], axis=1).astype(np.float32)
     for robots in (2, 4):
         dx, dy = (positions[None, :robots, axis] - positions[:robots, None, axis] for axis in (0, 1))
-        distance = jnp.sqrt(dx**2 + dy**2)
+        distance = np.sqrt(dx**2 + dy**2)
         seen = distance > 0
-        safe = jnp.where(seen, distance, 1.0)
-        corner, near, far = jax.jit(hull)(dx / safe, dy / safe, safe, seen).robot
+        safe = np.where(seen, distance, np.float32(1))
+        corner, near, far = measure(dx / safe, dy / safe, safe, seen).robot
         if robots == 2:
             np.testing.assert_array_equal(corner, 1)
             np.testing.assert_array_equal(near, 1)

@@ -41,7 +41,9 @@ def one_device(tmp_path_factory):
 def start(toml, out, devices, *flags):
     """Starts `murmurate discover` with virtual devices."""
     command = [sys.executable, "-m", "murmurate", "discover", str(toml), "--out", str(out), *map(str, flags)]
-    environment = os.environ | {"XLA_FLAGS": f"--xla_force_host_platform_device_count={devices}"}
+    environment = os.environ | {
+        "XLA_FLAGS": f"{os.environ.get('XLA_FLAGS', '')} --xla_force_host_platform_device_count={devices}"
+    }
     return subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 

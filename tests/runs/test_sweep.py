@@ -165,6 +165,7 @@ class Calm(Signal):
 """
 
 
+@pytest.mark.nightly
 def test_runs_with_a_signal_of_ones_own_end_in_one_table(tmp_path):
     write_toml(tmp_path / "tiny.toml")
     (tmp_path / "mine.py").write_text(OWN_SIGNAL)
