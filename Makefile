@@ -1,12 +1,12 @@
 # Everything from a bare machine with Python >= 3.11: each target makes its own environment first.
 PYTHON ?= python3
 VENV ?= .venv
-BIN := $(VENV)/bin
+BIN := $(VENV)/$(if $(filter Windows_NT,$(OS)),Scripts,bin)
 EXPERIMENT ?= C
 SEED ?= 0
 OUT ?= runs/$(EXPERIMENT)-equivariant-seed$(SEED)
 
-.PHONY: discover test test-nightly lint docs figures-docs benchmark results seeds optima pretrained compare clean
+.PHONY: discover test test-nightly lint dist docs figures-docs benchmark results seeds optima pretrained compare clean
 
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable
 
@@ -36,6 +36,13 @@ lint: $(VENV)/.dev
 	$(BIN)/lint-imports
 	$(BIN)/pyright
 
+dist: $(VENV)/.dev  ## wheel and sdist into dist/, and the wheel tried outside of the checkout
+	rm -rf dist build/wheel
+	$(BIN)/python -m build --outdir dist
+	$(PYTHON) -m venv build/wheel
+	$(subst $(VENV),build/wheel,$(BIN))/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt dist/*.whl
+	cd build && $(subst $(VENV),wheel,$(BIN))/python ../tests/try_installed.py
+
 docs: $(VENV)/.dev  ## the documentation site, warnings are errors; into build/docs
 	$(BIN)/sphinx-build -W --keep-going -n -q -b html docs build/docs
 
@@ -62,4 +69,4 @@ compare: $(VENV)/.core  ## learned policies and baselines, 1,000 starts a cell (
 	$(BIN)/python -m benchmarks.compare
 
 clean:
-	rm -rf $(VENV) .cache build *.egg-info
+	rm -rf $(VENV) .cache build dist *.egg-info

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import ast
 import importlib.util
+import json
 from pathlib import Path
 
 import numpy as np
@@ -32,6 +34,24 @@ def test_vector_loop():
 def test_pettingzoo_loop(capsys):
     assert main_of("pettingzoo_loop")(robots=3, horizon=60) > 0
     assert "visible" in capsys.readouterr().out
+
+
+def test_the_notebook_runs_from_top_to_bottom(capsys):
+    notebook = json.loads((EXAMPLES / "quickstart.ipynb").read_text("utf-8"))
+    cells = ["".join(cell["source"]) for cell in notebook["cells"] if cell["cell_type"] == "code"]
+    scope, pictures = {}, 0
+    for cell in cells:
+        *body, last = ast.parse(cell).body
+        if not isinstance(last, ast.Expr):
+            body, last = [*body, last], None
+        exec(compile(ast.Module(body, []), "quickstart.ipynb", "exec"), scope)
+        shown = None if last is None else eval(compile(ast.Expression(last.value), "quickstart.ipynb", "eval"), scope)
+        if hasattr(shown, "_repr_png_"):
+            assert shown._repr_png_().startswith(b"\x89PNG")
+            pictures += 1
+    assert pictures == 2
+    assert "of the 7 others" in capsys.readouterr().out
+    assert all(cell.get("outputs", []) == [] for cell in notebook["cells"]), "committed without outputs"
 
 
 @pytest.mark.nightly

@@ -1,0 +1,74 @@
+"""What is installed and published: versions, the image, and the workflow that tests on other systems."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import tomllib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+INSTRUCTIONS = {"FROM", "WORKDIR", "COPY", "RUN", "USER", "ENTRYPOINT", "CMD"}
+
+
+def project():
+    return tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+
+
+def normalized(name):
+    return re.sub(r"[-_.]+", "-", name).lower()
+
+
+def pinned():
+    """Returns the versions of the constraints file by name."""
+    lines = (ROOT / "constraints.txt").read_text().splitlines()
+    return dict(re.fullmatch(r"([\w.-]+)==(\S+)", line).groups() for line in lines if not line.startswith("#"))
+
+
+def test_what_is_installed_by_default_and_for_tests_is_pinned():
+    wanted = [*project()["dependencies"], *project()["optional-dependencies"]["dev"]]
+    names = {normalized(name) for name in pinned()}
+    assert {normalized(re.match(r"[\w.-]+", entry)[0]) for entry in wanted} <= names
+
+
+def test_constraints_are_versions_only():
+    lines = (ROOT / "constraints.txt").read_text().splitlines()
+    assert lines[1:] == sorted(lines[1:], key=str.lower)
+    assert not [line for line in lines if "/" in line or "@" in line]
+
+
+def test_the_image_installs_what_the_constraints_say_as_a_user_without_rights():
+    text = (ROOT / "Dockerfile").read_text().replace("\\\n", " ")
+    steps = [line.split(maxsplit=1) for line in text.splitlines() if line and not line.startswith("#")]
+    assert {name for name, _ in steps} <= INSTRUCTIONS
+    for name, rest in steps:
+        if name == "COPY":
+            assert all((ROOT / source).exists() for source in rest.split()[:-1])
+    assert any("--constraint constraints.txt" in rest for name, rest in steps if name == "RUN")
+    assert [name for name, _ in steps].index("USER") < [name for name, _ in steps].index("ENTRYPOINT")
+    ignored = (ROOT / ".dockerignore").read_text().splitlines()
+    copied = {source for name, rest in steps if name == "COPY" for source in rest.split()[:-1]}
+    assert {f"!{source}" for source in copied} <= set(ignored)
+
+
+@pytest.mark.nightly
+def test_the_image_is_built():
+    if (
+        shutil.which("docker") is None
+        or subprocess.run(["docker", "info"], capture_output=True, check=False).returncode
+    ):
+        pytest.skip("Docker does not run here")
+    subprocess.run(["docker", "build", "--tag", "murmurate-test", "."], cwd=ROOT, check=True, timeout=900)
+    subprocess.run(["docker", "run", "--rm", "murmurate-test", "experiments"], check=True, timeout=120)
+
+
+def test_the_workflow_runs_the_tests_on_three_systems():
+    text = (ROOT / ".github/workflows/test.yml").read_text()
+    assert "make test" in text
+    for system in ("ubuntu", "macos", "windows"):
+        assert f"{system}-latest" in text
+    versions = {entry.rsplit(" ", 1)[1] for entry in project()["classifiers"] if re.search(r":: 3\.\d+$", entry)}
+    assert set(re.findall(r'"(3\.\d+)"', text)) <= versions
