@@ -4,14 +4,28 @@ from __future__ import annotations
 
 import dataclasses
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from handmade import approach, shake
 
-from murmurate.discovery import Cascade, RestRule
+from murmurate import prng
+from murmurate.discovery import Cascade, RestRule, check_validity
 from murmurate.errors import InputError
-from murmurate.world import JitteredStart, World, WorldConfig, with_array_leaves
+from murmurate.policies.baselines import Baseline
+from murmurate.world import (
+    AsyncScheduler,
+    JitteredStart,
+    LocalObservation,
+    SchedulerWrapper,
+    UniformStart,
+    VisibleSensing,
+    World,
+    WorldConfig,
+    draw_starts,
+    with_array_leaves,
+)
 from oracles import signals as oracle
 
 CONFIG = WorldConfig(robots=2, half_width=20.0, half_height=20.0, scan_radius=100.0, safe_distance=5.0)
@@ -119,6 +133,64 @@ def test_signals_are_those_of_the_recorded_positions():
             expected = oracle.signals(positions, "nclose", 20.0, 20.0, 1.0, 100.0, 5.0, "penalty")
             for name, value in expected.items():
                 np.testing.assert_allclose(ran.signals[name][episode, step], value, atol=1e-5, err_msg=name)
+
+
+COMPANY = 20
+SIX = WorldConfig(robots=6, half_width=35.0, half_height=35.0, scan_radius=105.0)
+
+
+@pytest.fixture(scope="module")
+def asynchronous():
+    """Rolls out robots that circle, each in its own time with noisy sight: the first 1, or 1 and 20 others."""
+    world = with_array_leaves(World.create(SIX, UniformStart(), "C2"))
+    scheduler, sensing = AsyncScheduler(rigid=False), VisibleSensing(rotation=True, bearing_noise=0.01)
+    env = LocalObservation(SchedulerWrapper(world, scheduler), sensing, SIX)
+    rule = RestRule(window=5 * scheduler.period, max_steps=200)
+    cascade = Cascade((Baseline.registered()["circle"](SIX, False),), env, rule)
+    starts = draw_starts(world.start, jax.random.key(5), COMPANY + 1, SIX)
+    # Compiled as users' programs are: without optimisations, a single episode is rounded in another way.
+    before = jax.config.values["jax_disable_most_optimizations"]
+    jax.config.update("jax_disable_most_optimizations", False)
+    yield [cascade.rollout(starts[:count], seed=3) for count in (1, COMPANY + 1)]
+    jax.config.update("jax_disable_most_optimizations", before)
+
+
+def test_an_ended_episode_does_not_complete_the_moves_that_its_robots_had_begun(asynchronous):
+    _, all_of_them = asynchronous
+    assert_holds_still(all_of_them)
+    for values in all_of_them.signals.values():
+        for episode, length in enumerate(all_of_them.lengths):
+            np.testing.assert_array_equal(values[episode, length:], values[episode, length])
+    assert len(set(all_of_them.lengths)) > 5
+
+
+def test_an_episode_is_the_same_alone_and_in_company(asynchronous):
+    """What it does, by which dice, and what it is judged by: bit for bit."""
+    alone, together = asynchronous
+    length = int(alone.lengths[0])
+    assert length < together.lengths.max()
+    np.testing.assert_array_equal(together.positions[0, : length + 1], alone.positions[0])
+    np.testing.assert_array_equal(together.final[0], alone.final[0])
+    for field in ("lengths", "switch", "at_rest", "terminated", "epochs"):
+        np.testing.assert_array_equal(getattr(together, field)[0], getattr(alone, field)[0], err_msg=field)
+    first, second = (check_validity(ran, SIX) for ran in (alone, together))
+    for field in ("contact_free", "inside", "mutually_visible", "gathered", "safe", "at_rest"):
+        assert getattr(first, field)[0] == getattr(second, field)[0], field
+
+
+def test_the_dice_of_an_episode_depend_on_its_index_alone():
+    """The second of three episodes from one and the same start is the second of two, and is not the first."""
+    world = with_array_leaves(World.create(SIX, UniformStart(), "C2"))
+    env = LocalObservation(
+        SchedulerWrapper(world, AsyncScheduler()), VisibleSensing(rotation=True, miss_probability=0.2), SIX
+    )
+    with prng.reproducible():
+        start = jnp.moveaxis(jnp.tile(draw_starts(world.start, jax.random.key(5), 1, SIX), (3, 1, 1)), 0, -1)
+        two, three = (env.state(start[..., :count], jnp.asarray(7, jnp.uint32)) for count in (2, 3))
+    for few, many in zip(jax.tree.leaves(two), jax.tree.leaves(three), strict=True):
+        np.testing.assert_array_equal(few, many[..., :2])
+    assert (three.frames.cos[:, 0] != three.frames.cos[:, 1]).all()
+    assert (three.key[:, 0] != three.key[:, 1]).any()
 
 
 @pytest.mark.parametrize(

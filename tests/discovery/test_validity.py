@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from itertools import permutations
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from murmurate.discovery import Trajectories, bound_steps, check_validity
-from murmurate.world import Signal, WorldConfig
+from murmurate.errors import InputError
+from murmurate.world import Signal, UniformStart, World, WorldConfig, scaled_to
+from murmurate.world.starts import check_configurations
 
 WORLD = WorldConfig(robots=6, half_width=35.0, half_height=35.0, scan_radius=30.0, safe_distance=5.0)
 FLAGS = ("contact_free", "inside", "mutually_visible", "gathered", "safe", "at_rest")
@@ -74,6 +77,47 @@ def test_two_robots_swap_through_each_other():
 def test_a_robot_was_outside_for_a_moment():
     assert_fails(validity(ring(), with_robot(0, (35.5, 0)), ring()), "inside")
     assert_fails(validity(ring(), with_robot(0, (35.0, 0)), ring()))
+
+
+@pytest.mark.parametrize("robots", [22, 24])
+def test_a_robot_that_stays_on_a_wall_is_inside(robots):
+    """The world steps in float32, in which a side of these worlds is shorter (22) or longer (24) than in float64."""
+    world = scaled_to(WorldConfig(robots=8, half_width=40.0, half_height=40.0, scan_radius=1000.0), robots)
+    sides = np.float32(world.half_width)
+    assert (float(sides) > world.half_width) == (robots == 24)
+    assert float(sides) != world.half_width
+    line = np.linspace(-world.half_width, world.half_width, robots)
+    on_walls = np.stack([line, np.where(np.arange(robots) % 2, world.half_height, -world.half_height)], axis=1)
+    for beyond in (False, True):
+        positions = on_walls.astype(np.float32)
+        if beyond:
+            positions[0, 0] = np.nextafter(-sides, np.float32(-np.inf))
+        steps, rest = np.zeros(1, int), np.ones(1, bool)
+        ran = Trajectories(np.stack([positions] * 2)[None], steps, np.zeros((1, 0), int), rest, ~rest, {}, steps)
+        stepping = World.create(world, UniformStart())
+        _, transition = stepping.step(stepping.state(jnp.asarray(positions)), jnp.zeros((robots, 2)))
+        assert check_validity(ran, world).inside[0] == (not beyond)
+        assert bool(transition.terminated) == beyond
+        if beyond:
+            with pytest.raises(InputError, match="a robot outside"):
+                check_configurations(positions[None], world, "starts")
+        else:
+            check_configurations(positions[None], world, "starts")
+
+
+@pytest.mark.unchecked
+def test_another_worlds_trajectories_are_refused_in_one_line():
+    steps, rest = np.zeros(1, int), np.ones(1, bool)
+    none = np.zeros((1, 0), int)
+    for shape in [(1, 2, 5, 2), (1, 2, 7, 2), (1, 2, 6, 3), (1, 0, 6, 2), (2, 6, 2)]:
+        ran = Trajectories(np.zeros(shape, np.float32), steps, none, rest, ~rest, {}, steps)
+        with pytest.raises(InputError, match=r"^trajectories.positions = .*\(episodes, steps \+ 1, 6, 2\)") as error:
+            check_validity(ran, WORLD)
+        assert "\n" not in str(error.value)
+    positions = np.stack([ring(), ring()])[None].astype(np.float32)
+    ran = Trajectories(positions, steps, none, np.ones(2, bool), ~rest, {}, steps)
+    with pytest.raises(InputError, match=r"^trajectories.at_rest = .*\(1,\)"):
+        check_validity(ran, WORLD)
 
 
 def test_two_robots_touched_on_the_way():

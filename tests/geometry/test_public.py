@@ -100,6 +100,31 @@ def test_nan_and_infinity_are_refused(name, number, xp):
         call(name, xp.asarray(positions))
 
 
+@every_function
+@pytest.mark.parametrize(("dtype", "most"), [(np.float32, 1e19), (np.float64, 1e154)])
+@pytest.mark.parametrize("xp", [np, jnp], ids=["numpy", "jax"])
+def test_coordinates_whose_squares_overflow_are_refused(name, xp, dtype, most):
+    with jax.enable_x64(True):
+        positions = np.zeros((2, 3, 2), dtype)
+        positions[:, :, 0] = np.arange(3) * 4.0
+        positions[1] += most
+        with pytest.raises(InputError, match=r"^positions = .* must be .* of magnitude up to") as error:
+            call(name, xp.asarray(positions))
+        assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_as_far_as_coordinates_may_go_contacts_are_found(dtype):
+    """Two robots that fly towards each other from either end of what is allowed meet in the middle."""
+    far = np.sqrt(np.finfo(dtype).max) / 4 * (1 - 1e-3)
+    positions = np.array([[-far, -far], [far, far], [far, -far]], dtype)
+    velocities = np.array([[far, far], [-far, -far], [0, 0]], dtype)
+    np.testing.assert_array_equal(geometry.in_contact(positions, velocities, float(far) / 1e3), [True, True, False])
+    assert np.isfinite(geometry.distances(positions)).all()
+    with pytest.raises(InputError, match=r"^velocities = "):
+        geometry.in_contact(positions, 2 * velocities, RADIUS)
+
+
 @pytest.mark.parametrize("positions", [[["a", "b"]], [[True, False]], [[1j, 0]], [[1, 2], [3]], None, "positions"])
 def test_what_is_not_numbers_is_refused(positions):
     with pytest.raises(InputError, match="positions"):

@@ -9,9 +9,11 @@ import json
 import numpy as np
 import pytest
 
+import murmurate
 from murmurate.errors import InputError, RunError
 from murmurate.interop.waypoints import Scale, Waypoints
 from murmurate.runs import files
+from murmurate.runs.evaluate import evaluate
 from murmurate.runs.folder import RunFolder
 from tiny import tiny
 
@@ -143,3 +145,16 @@ def test_a_finished_run_is_written_and_read(finished, tmp_path):
     table = np.loadtxt(tmp_path / "way.csv", delimiter=",", skiprows=stated + 1)
     assert table.shape == (sum(len(times) * 3 for times in waypoints.times), 5)
     assert json.loads((tmp_path / "way.json").read_text())["robots"] == 3
+
+
+def test_waypoints_end_where_the_pattern_was_judged(tmp_path):
+    """Robots in their own time are still under way when an episode ends: they are stopped there, and judged there."""
+    run = murmurate.pretrained("C2", "visible", "async").of_size(5)
+    judged = evaluate(run, 6)
+    run.save(tmp_path / "run")
+    judged.save(tmp_path / "run")
+    waypoints = Waypoints.from_run(tmp_path / "run", Scale(metres=1.0))
+    assert waypoints.episodes == tuple(np.flatnonzero(judged.validity.contact_free & judged.validity.inside))
+    assert len(set(judged.trajectories.lengths)) > 1
+    for index, points in zip(waypoints.episodes, waypoints.positions, strict=True):
+        np.testing.assert_allclose(points[-1], judged.trajectories.final[index], atol=1e-6)

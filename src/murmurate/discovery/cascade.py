@@ -49,7 +49,8 @@ class _Status(eqx.Module):
     """The state of the cascade in each episode of the batch.
 
     Attributes:
-        state: State of the environment.
+        state: State of the environment; that of an ended episode stays as it is, whatever its scheduler had begun.
+        signals: Signals of that state by name.
         active_policy: Place in the list of the policy that acts; the number of policies when all are done.
         steps_active: Steps for which it has acted.
         recent_changes: Its last changes of the objective.
@@ -57,10 +58,10 @@ class _Status(eqx.Module):
         switch: Steps at which each policy ended.
         at_rest: Whether the last policy came to rest.
         terminated: Whether the episode ended in contact or outside the world.
-        epochs: Epochs so far.
     """
 
     state: Any
+    signals: dict[str, Array]
     active_policy: Int[Array, " batch"]
     steps_active: Int[Array, " batch"]
     recent_changes: Float[Array, "window batch"]
@@ -68,7 +69,6 @@ class _Status(eqx.Module):
     switch: Int[Array, "policies batch"]
     at_rest: Bool[Array, " batch"]
     terminated: Bool[Array, " batch"]
-    epochs: Int[Array, " batch"]
 
     def moving(self) -> Bool[Array, " batch"]:
         """Returns which episodes have not ended."""
@@ -126,7 +126,7 @@ class Cascade(eqx.Module):
             at_rest=np.asarray(status.at_rest),
             terminated=np.asarray(status.terminated),
             signals={n: np.concatenate([s[n] for _, s in parts])[:steps].T for n in names},
-            epochs=np.asarray(status.epochs, np.int32),
+            epochs=np.asarray(status.state.epochs, np.int32),
         )
 
 
@@ -136,8 +136,10 @@ def _begin(
 ) -> tuple[_Status, tuple[Array, Any]]:
     batch = positions.shape[-1]
     zero, false = jnp.zeros(batch, jnp.int32), jnp.zeros(batch, bool)
+    signals = cascade.world.signals(positions)
     status = _Status(
         state=cascade.env.state(positions, seed),
+        signals=signals,
         active_policy=zero,
         steps_active=zero,
         # Of a stated type, not a weak one: the next call would be compiled once more.
@@ -146,10 +148,8 @@ def _begin(
         switch=jnp.zeros((len(cascade.policies), batch), jnp.int32),
         at_rest=false,
         terminated=false,
-        epochs=zero,
     )
-    first = (positions, cascade.world.signals(positions))
-    return status, jax.tree.map(lambda x: x[None], first)
+    return status, jax.tree.map(lambda x: x[None], (positions, signals))
 
 
 @eqx.filter_jit
@@ -162,8 +162,13 @@ def _step(cascade: Cascade, status: _Status) -> tuple[_Status, tuple[Array, dict
     observation = cascade.env.observe(status.state)
     velocities = jnp.zeros_like(status.state.positions)
     for index, policy in enumerate(cascade.policies):
-        velocities = jnp.where(moving & (status.active_policy == index), policy(observation), velocities)
+        velocities = jnp.where(status.active_policy == index, policy(observation), velocities)
     after, transition = cascade.env.step(status.state, velocities)
+    # To hold still is more than to set no new velocity: a scheduler completes the moves that robots committed to before
+    # the end. So the whole state stays, and an episode ends alike alone and in the company of longer ones.
+    after, signals = jax.tree.map(
+        lambda new, old: jnp.where(moving, new, old), (after, transition.signals), (status.state, status.signals)
+    )
     length = status.length + moving
     terminated = status.terminated | (moving & transition.terminated)
     change = jnp.abs(after.objective - status.state.objective)
@@ -178,6 +183,7 @@ def _step(cascade: Cascade, status: _Status) -> tuple[_Status, tuple[Array, dict
     switch = jnp.where(moving & (index >= status.active_policy), length, status.switch)
     status = _Status(
         state=after,
+        signals=signals,
         active_policy=status.active_policy + over,
         steps_active=jnp.where(over, 0, steps_active),
         recent_changes=jnp.where(over, jnp.inf, recent_changes),
@@ -185,6 +191,5 @@ def _step(cascade: Cascade, status: _Status) -> tuple[_Status, tuple[Array, dict
         switch=switch,
         at_rest=status.at_rest | (rested & is_last),
         terminated=terminated,
-        epochs=jnp.where(moving, after.epochs, status.epochs),
     )
-    return status, (after.positions, transition.signals)
+    return status, (after.positions, signals)

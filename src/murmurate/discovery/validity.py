@@ -1,6 +1,6 @@
 """Whether what was reached is a valid pattern, and how fast any controller could have reached it.
 
-Everything is computed in float64 from recorded positions alone.
+Everything is computed in float64 from recorded positions alone; the sides of the world are those that it steps with.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import maximum_bipartite_matching
 
+from murmurate.errors import InputError
 from murmurate.geometry import _batch_last
 from murmurate.types import Trajectories
 from murmurate.world import Configuration, Signal, WorldConfig
@@ -60,7 +61,11 @@ def check_validity(
         trajectories: The episodes.
         world: Sizes of the world and its robots.
         thresholds: Signals with the least values that a valid pattern must reach, by name; see `Problem.thresholds`.
+
+    Raises:
+        InputError: The episodes are those of another number of robots, or not of one shape.
     """
+    _check(trajectories, world)
     final = np.moveaxis(trajectories.final.astype(float), 0, -1)
     others = ~np.eye(world.robots, dtype=bool)
     pairs = _batch_last.neighbors_and_visible(final, world.radius, world.scan_radius)
@@ -81,6 +86,17 @@ def check_validity(
     )
 
 
+def _check(trajectories: Trajectories, world: WorldConfig) -> None:
+    """Checks that the episodes can be those of a world, and that there are as many of everything."""
+    shape = np.shape(trajectories.positions)
+    if len(shape) != 4 or shape[1] == 0 or shape[2:] != (world.robots, 2):
+        allowed = f"of shape (episodes, steps + 1, {world.robots}, 2), as in the world"
+        raise InputError("trajectories.positions", f"an array {shape}", allowed)
+    if np.shape(trajectories.at_rest) != shape[:1]:
+        rest = f"an array {np.shape(trajectories.at_rest)}"
+        raise InputError("trajectories.at_rest", rest, f"of shape {shape[:1]}, one for each episode")
+
+
 def _contact_free_and_inside(
     positions: Float[np.ndarray, "episodes time robots 2"], world: WorldConfig
 ) -> tuple[Flags, Flags]:
@@ -91,7 +107,7 @@ def _contact_free_and_inside(
     for step in range(1, positions.shape[1]):
         after = np.moveaxis(positions[:, step].astype(float), 0, -1)
         contact_free &= ~_batch_last.any_contact(now, after - now, world.radius)
-        inside &= ~_batch_last.any_outside(after, world.half_width, world.half_height)
+        inside &= ~_batch_last.any_outside(after, *world.bounds)
         now = after
     return contact_free, inside
 

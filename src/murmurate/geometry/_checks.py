@@ -26,7 +26,7 @@ def check_vectors(field: str, vectors: Any) -> tuple[Any, Any]:
         vectors: Positions or velocities: an array, or nested lists.
 
     Raises:
-        InputError: The shape is another one, or a number is not finite.
+        InputError: The shape is another one, or a number is not finite or too great.
     """
     if not hasattr(vectors, "__array_namespace__"):
         try:
@@ -43,9 +43,16 @@ def check_vectors(field: str, vectors: Any) -> tuple[Any, Any]:
     if not xp.isdtype(vectors.dtype, "real floating"):
         vectors = vectors.astype(float)
     if not is_traced(vectors):
-        finite = np.isfinite(np.asarray(vectors, dtype=float)).all(axis=-1)
+        numbers = np.asarray(vectors, dtype=float)
+        finite = np.isfinite(numbers).all(axis=-1)
         if not finite.all():
-            raise InputError(field, np.asarray(vectors, dtype=float)[~finite][0].tolist(), VECTORS)
+            raise InputError(field, numbers[~finite][0].tolist(), VECTORS)
+        # Squares of greater numbers overflow: robots at one place would seem to be infinitely far apart.
+        limit = math.sqrt(float(xp.finfo(vectors.dtype).max)) / 4
+        small = (np.abs(numbers) <= limit).all(axis=-1)
+        if not small.all():
+            bound = f"{VECTORS} and of magnitude up to {limit:.2g} in {np.dtype(vectors.dtype)}"
+            raise InputError(field, numbers[~small][0].tolist(), bound)
     return xp, vectors
 
 

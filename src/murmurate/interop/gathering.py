@@ -93,8 +93,7 @@ class Gathering:
     @property
     def position_bounds(self) -> Float[np.ndarray, "2"]:
         """Greatest |x| and |y| of a centre: a robot that leaves the world is at most one step outside."""
-        sides = np.array([self.config.half_width, self.config.half_height], np.float32)
-        return sides + np.float32(self.config.max_speed)
+        return self.config.bounds + np.float32(self.config.max_speed)
 
     @property
     def action_bound(self) -> np.float32:

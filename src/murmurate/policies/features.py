@@ -42,6 +42,11 @@ The second is the logarithm of the least distance, in safe distances, that is no
 SPREAD_CENTERS, SPREAD_WIDTH = (-0.6, -0.3, 0.0, 0.3, 0.6, 1.2), 0.3
 """Centres and width of the Gaussians in the logarithm of the relative spread."""
 
+TIE = 0.03
+"""Width of two ranges in which a shadow passes from one kind to another: of the logarithm of two distances' ratio, on
+either side of a tie, and of the cosine of an angle, beyond a right one. In symmetric swarms many robots are equally
+far away or at right angles. A comparison would let rounding decide there, and rounding changes as the swarm turns."""
+
 MIN_MEAN_DISTANCE = 2.5
 """Mean distance, in safe distances, below which denser swarms are not normalised any further."""
 
@@ -153,21 +158,26 @@ def _shadows(ux: Array, uy: Array, distance: Array, radius: float) -> Float[Arra
 
     For observer k, observed robot i and a third robot j the terms are a bell of j's angular offset, and the bell times
     the offset, which tells the side. They are summed over three kinds of j: those nearer than i, which may occlude it;
-    those farther, which i may occlude; and those behind k, which k may occlude from i.
+    those farther, which i may occlude; and those behind k, which k may occlude from i. One kind passes continuously
+    into the next, and a robot as far as i is half of it nearer; see `TIE`.
     """
     half = radius / distance
+    wx, wy, level = ux / TIE, uy / TIE, jnp.log(distance) / (2 * TIE)
     number = jax.lax.broadcasted_iota(jnp.int32, distance.shape[1:], 0)
 
     def third(j: int) -> tuple[Array, ...]:
-        jx, jy, jd, jh = (a[:, j, None] for a in (ux, uy, distance, half))
-        z = (ux * jy - uy * jx) / (half + jh)
-        cos = ux * jx + uy * jy
+        jx, jy, jh, jl = (a[:, j, None] for a in (ux, uy, half, level))
+        sin, cos, width = ux * jy - uy * jx, wx * jx + wy * jy, half + jh
+        # The offset z is sin / width, and the bell (1 + z^2)^-2, here by a single division.
+        inverse = 1 / (sin * sin + width * width)
         # Robot i itself is no third robot. Where k is i or j the unit vector is 0, and so is the cosine.
-        bell = jnp.where(number == j, 0.0, 1 / (1 + z * z) ** 2)
-        ahead = jnp.where(cos > 0, bell, 0.0)
-        nearer = jnp.where(jd < distance, ahead, 0.0)
-        behind = jnp.where(cos < 0, bell, 0.0)
-        return tuple(w * factor for w in (nearer, ahead - nearer, behind) for factor in (1.0, z))
+        near = jnp.where(number == j, 0.0, width * inverse)
+        root = width * near
+        bell, odd = root * root, sin * near * root
+        facing = jnp.clip(cos, -1.0, 1.0)
+        ahead = jnp.maximum(facing, 0.0)
+        nearer = jnp.clip(0.5 + level - jl, 0.0, 1.0) * ahead
+        return tuple(w * factor for w in (nearer, ahead - nearer, ahead - facing) for factor in (bell, odd))
 
     return jnp.stack(sum_terms(third, distance.shape[1]))
 

@@ -8,6 +8,8 @@ from typing import Any, Literal, get_args
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
 
 from murmurate.errors import MAX_MAGNITUDE, InputError, check_choice, check_number
 
@@ -54,6 +56,14 @@ class WorldConfig(eqx.Module):
             raise InputError("safe_distance", self.safe_distance, f"more than two radii ({two_radii:g})")
         check_number("collision_penalty", self.collision_penalty, 0, MAX_MAGNITUDE)
         check_choice("safety", self.safety, get_args(Safety))
+
+    @property
+    def bounds(self) -> Float[np.ndarray, "2"]:
+        """X and Y as float32, the precision in which the world steps: what is recorded is judged by the same sides.
+
+        A robot that a rule keeps exactly on a wall would otherwise be outside by a rounded digit.
+        """
+        return np.array([self.half_width, self.half_height], np.float32)
 
     def __repr__(self) -> str:
         return (

@@ -145,7 +145,7 @@ class LayoutStart(Start):
         return self.prepare(world).sample(key, batch, world)
 
     def _fitting(self, points: np.ndarray, world: WorldConfig) -> Float[np.ndarray, "1 robots 2"]:
-        outside = (np.abs(points) > np.array([world.half_width, world.half_height])).any()
+        outside = (np.abs(points.astype(np.float32)) > world.bounds).any()
         if outside or (_batch_last.clearances(points, world.radius) <= 0).any():
             raise InputError("world.robots", world.robots, f"few enough to fit the {self.name} start")
         return points[None]
@@ -456,8 +456,7 @@ def check_start(start: Start, world: WorldConfig) -> Start:
     points = draw_starts(prepared, key, TRIALS, world)
     if not np.isfinite(points).all():
         raise InputError("start", start.name, "a start of finite numbers")
-    bounds = np.array([world.half_width, world.half_height], np.float32)
-    if (np.abs(points) > bounds).any():
+    if (np.abs(points) > world.bounds).any():
         raise InputError("start", start.name, f"inside |x| <= {world.half_width:g}, |y| <= {world.half_height:g}")
     if (_batch_last.clearances(np.moveaxis(points, 0, -1), world.radius) <= 0).any():
         raise InputError("world.robots", world.robots, f"few enough to fit the {start.name} start without overlap")
@@ -571,9 +570,8 @@ def check_configurations(points: Float[np.ndarray, "starts robots 2"], world: Wo
     # Runs compute with float32, so the rounded positions are what must be free of contact.
     with np.errstate(over="ignore"):
         points = points.astype(np.float32).astype(float)
-    bounds = np.array([world.half_width, world.half_height], np.float32)
     for index, configuration in enumerate(points):
-        if not (np.abs(configuration) <= bounds).all():
+        if not (np.abs(configuration) <= world.bounds).all():
             allowed = f"inside |x| <= {world.half_width:g}, |y| <= {world.half_height:g}"
             raise InputError(f"{source}: start {index}", "a robot outside", allowed)
         if (_batch_last.clearances(configuration, world.radius) <= 0).any():

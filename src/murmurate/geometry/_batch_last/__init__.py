@@ -17,7 +17,7 @@ from murmurate.geometry._batch_last.contact import (
     in_contact,
     outside,
 )
-from murmurate.geometry._batch_last.hull import hull_neighbors, on_hull
+from murmurate.geometry._batch_last.hull import hull_neighbors, hull_shares, on_hull
 from murmurate.geometry._batch_last.loops import sum_terms
 from murmurate.geometry._batch_last.visibility import (
     as_floating,
@@ -39,6 +39,7 @@ __all__ = [
     "distances",
     "fold",
     "hull_neighbors",
+    "hull_shares",
     "in_contact",
     "neighbors",
     "neighbors_and_visible",

@@ -6,6 +6,7 @@ robots on an edge of the hull, which count as being on the hull.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from jaxtyping import Bool, Float
@@ -13,7 +14,7 @@ from jaxtyping import Bool, Float
 from murmurate.geometry._batch_last.loops import sum_terms
 from murmurate.geometry._batch_last.visibility import Array, as_floating, fold, offsets
 
-__all__ = ["hull_neighbors", "on_hull"]
+__all__ = ["hull_neighbors", "hull_shares", "on_hull"]
 
 SAME_DIRECTION = 1e-6
 """Sine of the angle within which two robots lie in the same direction: positions are recorded in float32."""
@@ -38,14 +39,33 @@ def hull_neighbors(
         Which of the robots seen have none to their left, and which have none to their right, `(observers, robots,
         *batch)`. An observer inside the hull has neither; several robots in one direction are all marked.
     """
-    dtype = ux.dtype
+    last, first = hull_shares(ux, uy, seen, lambda sine: sine > SAME_DIRECTION)
+    return last > 0, first > 0
 
-    def beside(j: int) -> tuple[Any, Any]:
+
+def hull_shares(
+    ux: Float[Array, "observers robots *batch"],
+    uy: Float[Array, "observers robots *batch"],
+    seen: Bool[Array, "observers robots *batch"],
+    beside: Callable[[Any], Any],
+) -> tuple[Any, Any]:
+    """Returns `hull_neighbors` as numbers from 0 to 1, for a notion of beside that may be continuous.
+
+    Args:
+        ux: x of the unit vectors from each observer to the robots that it sees; 0 for the others.
+        uy: y of them.
+        seen: Which robots each observer sees.
+        beside: Says how much a robot is to the left of a direction, from 0 to 1, by the sine of the angle between.
+    """
+    xp, dtype = ux.__array_namespace__(), ux.dtype
+
+    def sides(j: int) -> tuple[Any, Any]:
         sine = ux * uy[:, j, None] - uy * ux[:, j, None]
-        return (sine > SAME_DIRECTION).astype(dtype), (sine < -SAME_DIRECTION).astype(dtype)
+        return xp.astype(beside(sine), dtype), xp.astype(beside(-sine), dtype)
 
-    left, right = sum_terms(beside, ux.shape[1])
-    return seen & (left == 0), seen & (right == 0)
+    left, right = sum_terms(sides, ux.shape[1])
+    last, first = (xp.where(seen, xp.maximum(1 - total, xp.zeros_like(total)), 0) for total in (left, right))
+    return last, first
 
 
 def on_hull(positions: Float[Array, "robots 2 *batch"]) -> Bool[Array, "robots *batch"]:
