@@ -240,7 +240,7 @@ def write(report: Report, folder: str | Path) -> None:
         RunError: A file cannot be written.
     """
     folder = Path(folder)
-    files.make_folder(folder / FOLDER)
+    files.make_folder(files.inside(folder, FOLDER))
     # First the file by which `check` knows a report: an interrupted one can then be replaced.
     files.write_json(folder / NUMBERS, report.numbers)
     for path, data in report.pictures.items():

@@ -22,7 +22,7 @@ from jaxtyping import Float
 from murmurate import prng
 from murmurate.analysis.optimum.best_known import best_known
 from murmurate.analysis.optimum.formation import Target
-from murmurate.discovery import Trajectories, bound_steps, build_cascade, check_validity
+from murmurate.discovery import Trajectories, bound_steps, build_cascade, check_validity, rollout
 from murmurate.errors import InputError, RunError, check_choice, check_number
 from murmurate.geometry import neighbors_and_visible
 from murmurate.policies import LocalPolicy
@@ -32,6 +32,7 @@ from murmurate.runs import config_io, files
 from murmurate.runs.evaluate import wilson
 from murmurate.runs.execute import Executor, InProcess, locked, run_jobs
 from murmurate.runs.experiment import ExperimentConfig, check_seed, make_importer
+from murmurate.runs.folder import trained_checksums
 from murmurate.runs.jobs import Job
 from murmurate.runs.run import MAX_EPISODES, Run
 from murmurate.world import (
@@ -252,7 +253,7 @@ def compare(
             job = ConditionJob(folder / JOBS / _file_name(str(condition)), comparison, condition, run)
             jobs[job.name] = job
     files.make_folder(folder)
-    with locked(folder / JOBS):
+    with locked(files.inside(folder, JOBS)):
         for old in (folder / JOBS).iterdir():
             # Left over from a comparison that was interrupted, perhaps with other weights.
             if old.is_dir():
@@ -383,7 +384,7 @@ def _settings(comparison: Comparison, runs: Mapping[str, Mapping[str, Run]]) -> 
 
 
 def _fingerprint(run: Run) -> str:
-    return hashlib.sha256(files.to_json(run.manifest.get("checksums", {})).encode()).hexdigest()[:16]
+    return hashlib.sha256(files.to_json(trained_checksums(run.manifest)).encode()).hexdigest()[:16]
 
 
 def _file_name(text: str) -> str:
@@ -464,7 +465,7 @@ def _rollouts(
     for first in range(0, comparison.episodes, size):
         starts = draw_starts(drawn, jax.random.fold_in(key, first), size, problem.world)
         # Each batch of each seed has frames, noise and a scheduler of its own.
-        batch = cascade.rollout(starts, seed=(comparison.seed * MAX_EPISODES + first) % 2**32)
+        batch = rollout(cascade, starts, (comparison.seed * MAX_EPISODES + first) % 2**32)
         yield _first_episodes(batch, comparison.episodes - first)
 
 

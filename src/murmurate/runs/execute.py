@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from murmurate import untrusted
 from murmurate.errors import InputError, RunError, check_number
 from murmurate.runs import files, worker
 from murmurate.runs.grid import MAX_RUNS
@@ -96,7 +97,7 @@ def locked(folder: Path) -> Iterator[None]:
     """
     with files.os_errors_as_run_errors(f"cannot write to {folder}"):
         folder.mkdir(parents=True, exist_ok=True)
-        lock = (folder / ".lock").open("a")
+        lock = untrusted.append(folder / ".lock")
     with lock:
         try:
             if fcntl is not None:

@@ -10,6 +10,7 @@ from typing import Any
 from rich.table import Table
 
 from murmurate.errors import RunError
+from murmurate.runs.evaluate import evaluated
 from murmurate.runs.folder import MANIFEST, RunFolder, describe_starts, is_fresh
 from murmurate.runs.paper import PaperExperiment
 from murmurate.runs.presets import paper_row
@@ -96,7 +97,7 @@ def results(folders: Iterable[str | Path], trust: bool = False) -> list[Row]:
 
 def _result(folder: RunFolder, trust: bool) -> Row:
     manifest = folder.verify()
-    config, summary = folder.experiment(trust), folder.evaluation()
+    config, summary = folder.experiment(trust), evaluated(folder, trust)
     row = paper_row(config) if is_fresh(summary) else None
     try:
         training = f"{manifest['environment_steps'] / 1e6:.2f} M", f"{manifest['train_seconds']:.0f} s"
