@@ -19,6 +19,7 @@ __all__ = [
     "check_choice",
     "check_number",
     "one_line",
+    "printable",
     "shown",
     "suggestion",
 ]
@@ -39,13 +40,17 @@ def one_line(text: str, limit: int = MAX_LINE) -> str:
         text: Any text, also what a stranger's file holds.
         limit: Greatest number of characters; the middle of longer text is left out.
     """
-    line = " ".join(text.split())
-    if not line.isprintable():
-        line = "".join(char if char.isprintable() else ascii(char)[1:-1] for char in line[: 20 * limit])
+    line = printable(text)
     if len(line) <= limit:
         return line
     end = limit // 3
     return f"{line[: limit - end - 5]} ... {line[-end:]}"
+
+
+def printable(text: str) -> str:
+    """Returns text on one line; characters that a terminal would act on, or cannot write, are escaped."""
+    line = " ".join(text.split())
+    return line if line.isprintable() else "".join(c if c.isprintable() else ascii(c)[1:-1] for c in line)
 
 
 def shown(value: object) -> str:

@@ -14,7 +14,7 @@ from murmurate.analysis import Catalogue, Finding
 from murmurate.analysis.optimum.best_known import best_known
 from murmurate.analysis.optimum.formation import Target
 from murmurate.errors import InputError, RunError
-from murmurate.runs import files
+from murmurate.runs import escape, files
 from murmurate.runs.evaluate import evaluated
 from murmurate.runs.folder import RunFolder, is_fresh, trained_checksums
 from murmurate.world import Configuration, Objective
@@ -63,7 +63,7 @@ def write(catalogue: Catalogue, folder: str | Path) -> None:
     files.make_folder(folder)
     files.write_json(folder / CATALOGUE, catalogue.to_dict())
     text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows(catalogue.rows())
+    csv.writer(text, lineterminator="\n").writerows([*map(escape.cell, row)] for row in catalogue.rows())
     files.write_text(folder / CLASSES, text.getvalue())
 
 

@@ -263,6 +263,9 @@ class RunFolder:
             raise RunError(f"{path} has no checksums")
         if not {EXPERIMENT, *_policy_files(len(names))} <= sums.keys():
             raise RunError(f"{path} does not list every policy with its checksum")
+        for name, (check, what) in _MANIFEST_FIELDS.items():
+            if name in manifest and not check(manifest[name]):
+                raise RunError(f"{path} has {name} = {shown(manifest[name])}, which {what}")
         for name in sums.keys() - {*_trained_files(len(names)), METRICS, *_EVALUATED}:
             raise RunError(f"{path} has a checksum of {shown(name)}, which is no file of a run")
         return manifest
@@ -305,6 +308,26 @@ class RunFolder:
         if STARTS not in manifest["checksums"] and os.path.lexists(self.path / STARTS):
             raise RunError(f"{self.path / STARTS} has no checksum in {MANIFEST}")
         return manifest
+
+    def is_whole(self) -> bool:
+        """Returns whether every file of a finished run is there and as it was written."""
+        try:
+            manifest = self.verify()
+            for name in manifest["checksums"]:
+                self._check(name, manifest)
+            self.evaluation()
+        except RunError:
+            return False
+        return True
+
+    def unfinish(self) -> None:
+        """Removes the manifest, which marks the run as finished: its training begins anew.
+
+        Raises:
+            RunError: It cannot be removed.
+        """
+        with files.os_errors_as_run_errors(f"cannot write to {self.path}"):
+            (self.path / MANIFEST).unlink(missing_ok=True)
 
     def _check(self, name: str, manifest: Mapping[str, Any], remedy: str = "") -> None:
         """Checks a file by its checksum; version 0.1.0 wrote none of evaluations and metrics."""
@@ -717,7 +740,7 @@ class _Notes:
         raise RunError(f"{self._path} is not a checkpoint of this version of murmurate: it has {has}")
 
 
-# What evaluation.json holds: what each field must be, and what to say of one that is not
+# What evaluation.json and manifest.json hold: what each field must be, and what to say of one that is not
 
 
 def _is_share(value: Any) -> bool:
@@ -770,6 +793,25 @@ _EVALUATION_FIELDS: Mapping[str, tuple[Callable[[Any], bool], str]] = {
         ("efficiency", "best_known", "best_found", "gap"),
         (lambda value: value is None or files.is_number(value), "is not a number"),
     ),
+}
+
+
+_MANIFEST_FIELDS: Mapping[str, tuple[Callable[[Any], bool], str]] = {
+    **dict.fromkeys(
+        ("environment_steps", "train_seconds"),
+        (lambda value: value is not None and _is_length(value), "is not a number"),
+    ),
+    **dict.fromkeys(
+        ("murmurate", "platform", "cpu", "device", "experiment"), (lambda value: isinstance(value, str), "is not text")
+    ),
+    "seed": (lambda value: _is_count(value, 2**32 - 1, 0), "is not a seed"),
+    "robots": (lambda value: _is_count(value, MAX_INTEGER), "is not a number of robots"),
+    "valid_pattern": (lambda value: isinstance(value, bool), "is neither true nor false"),
+    "versions": (
+        lambda value: isinstance(value, dict) and all(isinstance(version, str) for version in value.values()),
+        "are not versions by name",
+    ),
+    "initial": (lambda value: isinstance(value, dict), "is not a run"),
 }
 
 

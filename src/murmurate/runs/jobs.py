@@ -122,11 +122,14 @@ class TrainingJob(Job):
 
     def is_finished(self) -> bool:
         """See `Job`."""
-        return RunFolder(self.folder).inspect(resume=True) == "finished"
+        run = RunFolder(self.folder)
+        return run.inspect(resume=True) == "finished" and run.is_whole()
 
     def prepare(self) -> None:
         """See `Job`."""
         run = RunFolder(self.folder)
+        if run.inspect(resume=True) == "finished" and not run.is_whole():
+            run.unfinish()  # a damaged run is trained again
         if run.create(resume=True) == "new" and self.config is not None:
             run.write_experiment(self.config)
 
