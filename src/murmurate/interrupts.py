@@ -1,4 +1,4 @@
-"""Lets a request to end, SIGTERM, end a process as Ctrl-C does: batch systems, `timeout` and service managers send it."""
+"""Lets a request to end, SIGTERM, end a process as Ctrl-C does: batch systems and service managers send it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["sigterm_as_interrupt"]
 
 @contextlib.contextmanager
 def sigterm_as_interrupt() -> Iterator[None]:
-    """Raises `KeyboardInterrupt` at SIGTERM until the block ends: what is to be said and kept is so, and workers end."""
+    """Raises `KeyboardInterrupt` at SIGTERM until the block ends, so that workers end and what was reached is kept."""
     if threading.current_thread() is not threading.main_thread():  # only the main thread may handle signals
         yield
         return

@@ -6,6 +6,7 @@ import json
 import os
 import shutil
 import zipfile
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -323,3 +324,41 @@ def test_lines_are_short_and_printable():
     assert len(shown(deep)) < 150
     assert shown("it's") == repr("it's")
     assert shown([1, 2.5, None, True]) == "[1, 2.5, None, True]"
+
+
+# Sweeps
+
+
+def test_a_damaged_finished_run_is_trained_again(strange):
+    """A sweep says so of a run that it cannot read; what is whole stays as it is."""
+    job = TrainingJob(strange.path, tiny())
+    before = (strange.path / "policies" / "0-base.safetensors").read_bytes()
+    assert job.is_finished()
+    job.prepare()
+    assert strange.inspect(resume=True) == "finished"
+    (strange.path / "policies" / "0-base.safetensors").write_bytes(b"")
+    assert not job.is_finished()
+    job.prepare()
+    assert strange.inspect(resume=True) == "unfinished"
+    job.run()
+    assert job.is_finished()
+    assert (strange.path / "policies" / "0-base.safetensors").read_bytes() == before
+
+
+@pytest.mark.parametrize("name", ["evaluation.json", "trajectories.npz", "metrics.jsonl"])
+def test_every_file_of_a_finished_run_counts(strange, name):
+    (strange.path / name).write_bytes(b"")
+    assert not TrainingJob(strange.path, tiny()).is_finished()
+
+
+def test_compiled_programs_are_the_user_s_own(tmp_path, monkeypatch):
+    """What lies in the folder of a sweep, which may be a stranger's, is never loaded as a program."""
+    from murmurate import compilation_cache
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("MURMURATE_CACHE", raising=False)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "home"))
+    (tmp_path / ".compiled").mkdir()
+    assert compilation_cache.folder().is_relative_to(tmp_path / "home" / "murmurate")
+    sources = Path(compilation_cache.__file__).parent.rglob("*.py")
+    assert not [path for path in sources if ".compiled" in path.read_text("utf-8")]

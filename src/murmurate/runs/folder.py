@@ -699,7 +699,7 @@ def _is_metrics(row: Mapping[str, Any]) -> bool:
     if None in counts or not all(map(_is_length, counts)) or not isinstance(signals, dict):
         return False
     values = [*signals.values(), *(row.get(name) for name in ("reward", "steps_per_second", "seconds"))]
-    return all(value is None or files.is_number(value) for value in values) and isinstance(row.get("name", ""), str)
+    return all(value is None or files.is_number(value) for value in values) and isinstance(row.get("name"), str)
 
 
 MAX_COUNT = 1e18
