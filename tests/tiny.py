@@ -53,3 +53,9 @@ def write_toml(path, **overlay):
     """Writes the tiny experiment to a TOML file."""
     path.write_text(config_io.dump_toml(tiny(**overlay)))
     return path
+
+
+def seal(folder):
+    """Writes the checksums of a run's files anew after a test has changed some, as whoever forges a run would."""
+    manifest = folder.manifest()
+    folder.write_manifest(manifest, len(manifest["policies"]))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import difflib
 import math
+import reprlib
 from collections.abc import Iterable, Sequence
 from numbers import Integral, Real
 
@@ -17,12 +18,47 @@ __all__ = [
     "UsageError",
     "check_choice",
     "check_number",
+    "one_line",
+    "printable",
+    "shown",
     "suggestion",
 ]
 
+MAX_LINE = 300
+"""Characters of a message, at most; the middle of a longer one is left out."""
 
-def _one_line(text: str) -> str:
-    return " ".join(text.split())
+_REPR = reprlib.Repr()
+_REPR.maxlevel, _REPR.maxlist, _REPR.maxtuple, _REPR.maxdict, _REPR.maxset = 3, 8, 8, 6, 8
+_REPR.maxstring = _REPR.maxother = 100
+_REPR.maxlong = 60
+
+
+def one_line(text: str, limit: int = MAX_LINE) -> str:
+    """Returns text as one short line that is safe to print: characters that a terminal would act on are escaped.
+
+    Args:
+        text: Any text, also what a stranger's file holds.
+        limit: Greatest number of characters; the middle of longer text is left out.
+    """
+    line = printable(text)
+    if len(line) <= limit:
+        return line
+    end = limit // 3
+    return f"{line[: limit - end - 5]} ... {line[-end:]}"
+
+
+def printable(text: str) -> str:
+    """Returns text on one line; characters that a terminal would act on, or cannot write, are escaped."""
+    line = " ".join(text.split())
+    return line if line.isprintable() else "".join(c if c.isprintable() else ascii(c)[1:-1] for c in line)
+
+
+def shown(value: object) -> str:
+    """Returns a value as messages show it: as Python writes it, what is long or deeply nested in short."""
+    try:
+        return one_line(_REPR.repr(value), 150)
+    except Exception:  # Python refuses to write an integer of more than 4,300 digits
+        return f"<{type(value).__name__}>"
 
 
 class InputError(ValueError):
@@ -38,21 +74,21 @@ class InputError(ValueError):
         self.field = field
         self.value = value
         self.allowed = allowed
-        super().__init__(_one_line(f"{field} = {value!r}: must be {allowed}"))
+        super().__init__(one_line(f"{one_line(field, 150)} = {shown(value)}: must be {allowed}"))
 
 
 class RunError(Exception):
     """A run folder cannot be read, written or continued."""
 
     def __init__(self, message: str) -> None:
-        super().__init__(_one_line(message))
+        super().__init__(one_line(message))
 
 
 class UsageError(Exception):
     """A command line cannot be understood."""
 
     def __init__(self, message: str) -> None:
-        super().__init__(_one_line(message))
+        super().__init__(one_line(message))
 
 
 class BeyondTrainingWarning(UserWarning):

@@ -313,3 +313,18 @@ def test_a_finding_cannot_be_changed():
     assert one.positions[0] == pytest.approx([1.0, 0.0])
     with pytest.raises(ValueError, match="read-only"):
         one.positions[0] = 7
+
+
+def test_many_different_patterns_are_told_apart_fast(monkeypatch):
+    """Nearly all pairs of different patterns are told apart without superposing them, which takes long."""
+    counted = []
+
+    def count(*args: Any, **options: Any):
+        counted.append(1)
+        return distance(*args, **options)
+
+    monkeypatch.setattr("murmurate.analysis.catalogue.distance", count)
+    rng = np.random.default_rng(0)
+    found = [finding(rng.normal(scale=10, size=(10, 2)), 4 - i / 1000, i) for i in range(200)]
+    assert len(Catalogue.from_findings(found).classes) == 200
+    assert len(counted) < 1000  # of 19,900 pairs

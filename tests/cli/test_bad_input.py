@@ -168,7 +168,7 @@ def test_damaged_runs(refused, discovered, tmp_path, verb):
     assert "0-base.safetensors does not match its checksum" in refused(verb, "run", files=1)
     manifest = json.loads((run / "manifest.json").read_text())
     (run / "manifest.json").write_text(json.dumps(manifest | {"format": 99}))
-    assert "has format 99; this version of murmurate reads format 1" in refused(verb, "run", files=1)
+    assert "has format 99; this version of murmurate reads formats 1 and 2" in refused(verb, "run", files=1)
     (run / "manifest.json").write_text("{")
     assert "is not valid JSON" in refused(verb, "run", files=1)
     (run / "manifest.json").unlink()

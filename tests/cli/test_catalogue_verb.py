@@ -10,7 +10,8 @@ import pytest
 from murmurate.analysis import Catalogue, Finding
 from murmurate.cli.main import main
 from murmurate.runs import catalogues
-from tiny import write_toml
+from murmurate.runs.folder import RunFolder
+from tiny import seal, write_toml
 
 
 @pytest.fixture(scope="module")
@@ -127,4 +128,5 @@ def test_no_valid_pattern_is_said(discovered, tmp_path, capsys):
     summary = json.loads((nothing / "evaluation.json").read_text())
     summary["failures"] = list(range(200))
     (nothing / "evaluation.json").write_text(json.dumps(summary))
+    seal(RunFolder(nothing))
     refused(capsys, [nothing, "--out", tmp_path / "x"], "no valid pattern was found in")

@@ -9,7 +9,7 @@ from murmurate.cli.main import main
 from murmurate.report import plan as planning
 from murmurate.report.plan import Plan, PlannedRun
 from murmurate.runs import files, train
-from murmurate.runs.folder import RunFolder
+from murmurate.runs.folder import RunFolder, trained_checksums
 from murmurate.runs.paper import EXPERIMENTS
 from tiny import tiny
 
@@ -101,7 +101,7 @@ def test_an_interrupted_command_goes_on(work, trained, capsys, monkeypatch):
     assert main(["reproduce"]) == 0
     assert "2 runs in runs: 0 finished, 1 to go on with, 1 to train\n" in capsys.readouterr().out
     for name in NAMES:
-        checksums = [RunFolder(runs / name).manifest()["checksums"] for runs in (work / "runs", trained)]
+        checksums = [trained_checksums(RunFolder(runs / name).manifest()) for runs in (work / "runs", trained)]
         assert checksums[0] == checksums[1]
 
 

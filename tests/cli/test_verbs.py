@@ -115,7 +115,7 @@ def test_evaluate_replaces_the_evaluation(run, capsys):
     summary = RunFolder(run).evaluation()
     assert (summary["episodes"], summary["seed"], is_fresh(summary)) == (200, 1, True)
     changed = {path.name for path, data in contents(run).items() if before.get(path) != data}
-    assert changed == {"evaluation.json", "trajectories.npz", "discovery.png"}
+    assert changed == {"evaluation.json", "trajectories.npz", "discovery.png", "manifest.json"}
     assert main(["evaluate", str(run)]) == 0
     assert contents(run) == before
     assert f"picture: {run / FIGURE}" in capsys.readouterr().out

@@ -12,7 +12,15 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from murmurate.errors import InputError
-from murmurate.geometry.similarity import align, configuration, distance, lower_bound, profile
+from murmurate.geometry.similarity import (
+    align,
+    configuration,
+    distance,
+    lower_bound,
+    neighborhood_bound,
+    neighborhoods,
+    profile,
+)
 
 COORDINATES = st.floats(-10, 10, allow_subnormal=False)
 CHOICES = list(itertools.product((False, True), (False, True)))
@@ -127,6 +135,8 @@ def test_it_is_a_distance(three, choice):
     assert distance(first, first, **how) < 1e-7
     assert ac <= ab + bc + 1e-7
     assert lower_bound(first, second, scaling=choice[0]) <= ab + 1e-7
+    around = [neighborhoods(points, scaling=choice[0]) for points in (first, second)]
+    assert neighborhood_bound(*around) <= ab + 1e-7
 
 
 @given(

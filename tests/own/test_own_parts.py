@@ -213,7 +213,8 @@ def test_a_training_that_diverges_stops_with_the_update_named(experiment, tmp_pa
     line = capsys.readouterr().err.strip()
     assert status == 2
     assert len(line.splitlines()) == 1
-    assert "update" in line
+    assert "diverged at update" in line
+    assert "the reward is NaN or infinite" in line
 
 
 def test_other_sensing_and_shields(tmp_path):

@@ -11,8 +11,8 @@ from murmurate.errors import RunError
 from murmurate.report import runs as work
 from murmurate.runs import experiment as configuration
 from murmurate.runs import train
-from murmurate.runs.folder import RunFolder
-from tiny import tiny
+from murmurate.runs.folder import RunFolder, trained_checksums
+from tiny import seal, tiny
 
 
 @pytest.fixture
@@ -49,7 +49,7 @@ def test_an_interrupted_run_goes_on_to_the_same_weights(plan, runs, tmp_path, mo
     assert work.check(plan, tmp_path) == {plan.runs[0].name: "unfinished", plan.runs[1].name: "new"}
     result = work.train(plan, tmp_path)[0]
     whole = RunFolder(runs / planned.name).manifest()
-    assert result.manifest["checksums"] == whole["checksums"]
+    assert trained_checksums(result.manifest) == trained_checksums(whole)
 
 
 def broken_checkpoint(folder, other):
@@ -79,6 +79,7 @@ def foreign(folder, other):
 def other_starts(folder, other):
     summary = json.loads((folder / "evaluation.json").read_text())
     (folder / "evaluation.json").write_text(json.dumps(summary | {"starts": "mine.csv"}))
+    seal(RunFolder(folder))
 
 
 def poor_manifest(folder, other):

@@ -172,7 +172,7 @@ def test_a_damaged_file_is_refused(done, setting, runs, tmp_path):
         damaged = json.loads(json.dumps(data))
         del damaged["rows"][0][name]
         (tmp_path / comparison.COMPARISON).write_text(json.dumps(damaged))
-        with pytest.raises(RunError, match=rf"comparison.json is damaged: a row lacks '{name}'"):
+        with pytest.raises(RunError, match=rf"comparison.json is damaged: row 1 has {name} = None"):
             compare(setting, wanted, runs, tmp_path)
 
 

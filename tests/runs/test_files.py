@@ -134,8 +134,10 @@ def test_a_killed_writer_leaves_the_old_file(tmp_path):
     )
     subprocess.run([sys.executable, "-c", code, str(path)], check=False)
     assert path.read_text() == "old"
-    assert [file.name for file in tmp_path.iterdir() if file != path] == [".x.partial"]
+    assert [file.suffix for file in tmp_path.iterdir() if file != path] == [".partial"]
+    assert files.entries(tmp_path) == {"x"}
     files.write_text(path, "new")
+    files.remove_partial(tmp_path)
     assert [file.name for file in tmp_path.iterdir()] == ["x"]
 
 

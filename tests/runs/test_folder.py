@@ -15,9 +15,11 @@ import pytest
 
 from murmurate.discovery import policy_templates
 from murmurate.errors import RunError
-from murmurate.runs import files
-from murmurate.runs.folder import LOCK, MANIFEST, RunFolder, describe_starts, is_fresh
-from tiny import tiny
+from murmurate.runs import catalogues, files
+from murmurate.runs.evaluate import evaluate, evaluated
+from murmurate.runs.folder import LOCK, MANIFEST, RunFolder, describe_starts, is_fresh, trained_checksums
+from murmurate.runs.run import Run
+from tiny import seal, tiny
 
 
 @pytest.fixture
@@ -107,7 +109,8 @@ def test_folders_of_version_0_1_0_are_read(damaged):
     manifest, summary = files.read_json(path / MANIFEST), files.read_json(path / "evaluation.json")
     for name in ("valid_pattern", "cpu", "threads", "flags"):
         del manifest[name]
-    files.write_json(path / MANIFEST, manifest | {"outcome": "no valid pattern was discovered"})
+    manifest |= {"outcome": "no valid pattern was discovered", "format": 1, "checksums": trained_checksums(manifest)}
+    files.write_json(path / MANIFEST, manifest)
     for name in ("contact_free", "inside", "thresholds"):
         del summary[name]
     files.write_json(path / "evaluation.json", summary | {"collision_free": 0.5, "starts": "mine.csv"})
@@ -119,6 +122,9 @@ def test_folders_of_version_0_1_0_are_read(damaged):
     assert damaged.trajectories().lengths.tolist() == arrays["lengths"].tolist()
     change(path / "evaluation.json", starts="fresh")
     assert is_fresh(damaged.evaluation())
+    damaged.write_evaluation(summary, arrays)
+    assert damaged.manifest()["format"] == 2
+    assert damaged.manifest()["checksums"].keys() >= {"evaluation.json", "trajectories.npz", "metrics.jsonl"}
 
 
 def test_changed_files_are_found(damaged):
@@ -132,32 +138,95 @@ def test_changed_files_are_found(damaged):
         damaged.verify()
 
 
-@pytest.mark.parametrize("manifest", [{"format": 2}, {"format": "1"}, {}, [], 1])
+@pytest.mark.parametrize("manifest", [{"format": 3}, {"format": "1"}, {"format": True}, {}, [], 1])
 def test_unknown_formats_are_refused(tmp_path, manifest):
     files.write_json(tmp_path / MANIFEST, manifest)
-    with pytest.raises(RunError, match="this version of murmurate reads format 1"):
+    with pytest.raises(RunError, match="this version of murmurate reads formats 1 and 2"):
         RunFolder(tmp_path).manifest()
 
 
-@pytest.mark.parametrize("checksums", [None, [], {"x": 3}])
-def test_manifests_need_checksums(damaged, checksums):
+@pytest.mark.parametrize(
+    ("checksums", "line"),
+    [
+        (None, "has no checksums"),
+        ([], "has no checksums"),
+        ({"x": 3}, "has no checksums"),
+        ({}, "does not list every policy with its checksum"),
+    ],
+)
+def test_manifests_need_checksums(damaged, checksums, line):
     change(damaged.path / MANIFEST, checksums=checksums)
-    with pytest.raises(RunError, match="has no checksums"):
+    with pytest.raises(RunError, match=line):
         damaged.manifest()
 
 
-@pytest.mark.parametrize("name", ["../x", "/etc/hostname", "x\0y"])
-def test_checksums_name_files_of_the_run(damaged, name):
+@pytest.mark.parametrize("name", ["../x", "/etc/hostname", "x\0y", "policies/2-auxiliary.safetensors", "figures/a.png"])
+def test_checksums_are_of_files_of_a_run_and_no_others(damaged, name):
     change(damaged.path / MANIFEST, checksums={name: "0", **damaged.manifest()["checksums"]})
-    with pytest.raises(RunError, match="names a file outside the run"):
+    with pytest.raises(RunError, match="which is no file of a run"):
         damaged.verify()
 
 
-@pytest.mark.parametrize("policies", [[], "base", None, ["base"] * 3])
-def test_every_policy_needs_a_checksum(damaged, policies):
+@pytest.mark.parametrize(
+    ("policies", "line"),
+    [
+        ([], "does not list the policies"),
+        ("base", "does not list the policies"),
+        (None, "does not list the policies"),
+        (["base"] * 2, "which are not those of a run"),
+        (["base", "\x1b]0;x"], "which are not those of a run"),
+        (["base", "auxiliary", "auxiliary"], "does not list every policy with its checksum"),
+    ],
+)
+def test_every_policy_needs_a_checksum(damaged, policies, line):
     change(damaged.path / MANIFEST, policies=policies)
-    with pytest.raises(RunError, match="does not list every policy with its checksum"):
+    with pytest.raises(RunError, match=line):
         damaged.manifest()
+
+
+@pytest.mark.parametrize("name", ["evaluation.json", "trajectories.npz", "metrics.jsonl"])
+def test_every_file_is_checked_when_it_is_read(damaged, name):
+    reads = {
+        "evaluation.json": damaged.evaluation,
+        "trajectories.npz": damaged.trajectories,
+        "metrics.jsonl": damaged.metrics,
+    }
+    checksums = damaged.manifest()["checksums"]
+    change(damaged.path / MANIFEST, checksums=checksums | {name: "0"})
+    with pytest.raises(RunError, match=f"{name} does not match its checksum"):
+        reads[name]()
+    change(damaged.path / MANIFEST, checksums={file: sum_ for file, sum_ in checksums.items() if file != name})
+    with pytest.raises(RunError, match=f"{name} does not match its checksum"):
+        reads[name]()
+
+
+def test_an_evaluation_that_was_killed_half_way_is_made_again(damaged):
+    """Killed between the files of the evaluation and the manifest: the run opens, and evaluating it mends it."""
+    change(damaged.path / "evaluation.json", valid=0.5)
+    with pytest.raises(RunError, match="make it again with murmurate evaluate"):
+        damaged.evaluation()
+    evaluate(Run.open(damaged.path), episodes=4).save(damaged)
+    assert damaged.evaluation()["episodes"] == 4
+    assert damaged.trajectories().positions.shape[0] == 4
+
+
+def test_validity_is_computed_not_believed(damaged):
+    summary = evaluated(damaged)
+    assert summary == damaged.evaluation()
+    assert summary["valid"] > 0
+    arrays = files.read_npz(damaged.path / "trajectories.npz")
+    arrays["positions"][:, -1, 0] = 1e6
+    damaged.write_evaluation(damaged.evaluation(), arrays)
+    assert (evaluated(damaged)["valid"], evaluated(damaged)["inside"]) == (0, 0)
+    assert evaluated(damaged)["failures"] == list(range(200))
+    assert catalogues.read_findings(damaged.path) == ()
+
+
+def test_trajectories_are_of_the_evaluation_beside_them(damaged):
+    change(damaged.path / "evaluation.json", episodes=199, failures=[])
+    seal(damaged)
+    with pytest.raises(RunError, match="is not of the evaluation beside it"):
+        damaged.trajectories()
 
 
 def test_folders_without_a_finished_run(tmp_path):
@@ -171,11 +240,22 @@ def test_folders_without_a_finished_run(tmp_path):
 @pytest.mark.parametrize(
     ("values", "line"),
     [
-        ({"valid": "x"}, "has valid = 'x', which is not a number"),
+        ({"valid": "x"}, "has valid = 'x', which is not a share from 0 to 1"),
+        ({"valid": 7}, "has valid = 7, which is not a share from 0 to 1"),
+        ({"contact_free": -0.1}, "has contact_free = -0.1, which is not a share"),
+        ({"thresholds": {"calm": 2}}, "has thresholds = .*, which are not shares by name"),
+        ({"valid_interval": [0.9, 0.1]}, r"has valid_interval = \[0.9, 0.1\], which is not an interval"),
+        ({"valid_interval": [0, 1.5]}, "which is not an interval inside 0 to 1"),
+        ({"episodes": -5}, "has episodes = -5, which is not a number of episodes"),
+        ({"episodes": 1e9}, "which is not a number of episodes from 1 to 10000"),
+        ({"failures": [200]}, r"has failures = \[200\], which are not of its 200 episodes"),
+        ({"failures": [1, 1]}, "which are not of its 200 episodes"),
+        ({"total_steps": -1}, "has total_steps = -1, which is not a number of steps"),
+        ({"starts": {"kind": "file"}}, "which is unknown"),
         ({"base_steps": True}, "has base_steps = True, which is not a number"),
-        ({"valid_interval": "x"}, "has valid_interval = '', which is not a number"),
-        ({"valid_interval": [0, "x"]}, r"has valid_interval\[1\] = 'x'"),
-        ({"signal": {"total": "x"}}, r"has signal\.total = 'x'"),
+        ({"valid_interval": "x"}, "has valid_interval = 'x', which is not an interval"),
+        ({"valid_interval": [0, "x"]}, r"has valid_interval = \[0, 'x'\]"),
+        ({"signal": {"total": "x"}}, "has signal = {'total': 'x'}, which are not numbers by name"),
         ({"episodes": 0}, "has episodes = 0, which is not a number of episodes"),
         ({"failures": 3}, "has failures = 3, which are not episodes"),
         ({"starts": {"kind": "x"}}, "which is unknown"),
@@ -201,6 +281,7 @@ def test_incomplete_evaluations_are_refused(damaged):
 
 def test_what_could_not_be_computed_is_nan(damaged):
     change(damaged.path / "evaluation.json", bound_steps=None, valid_interval=[None, None])
+    seal(damaged)
     assert np.isnan(damaged.evaluation()["bound_steps"])
 
 
@@ -223,6 +304,7 @@ def test_trajectories_fit_together(damaged, array, line):
     path = damaged.path / "trajectories.npz"
     arrays = files.read_npz(path) | array
     files.write_npz(path, {name: value for name, value in arrays.items() if value is not None})
+    seal(damaged)
     with pytest.raises(RunError, match=line):
         damaged.trajectories()
 
@@ -232,6 +314,7 @@ def test_trajectories_are_finite(damaged):
     arrays = files.read_npz(path)
     arrays["positions"][3, 1] = np.nan
     files.write_npz(path, arrays)
+    seal(damaged)
     with pytest.raises(RunError, match="not finite: the training diverged"):
         damaged.trajectories()
 
@@ -239,13 +322,18 @@ def test_trajectories_are_finite(damaged):
 def test_metrics_are_rows_of_numbers(damaged):
     with (damaged.path / "metrics.jsonl").open("a") as file:
         file.write(json.dumps({"policy": 0, "update": 1, "environment_steps": "x", "signals": {}}) + "\n")
+    seal(damaged)
     with pytest.raises(RunError, match="line 9 is not a row of metrics"):
         damaged.metrics()
 
 
 def test_a_copy_is_a_run_of_its_own(finished, tmp_path):
     copy = RunFolder(finished).copy_to(tmp_path / "copy")
-    assert copy.verify() == RunFolder(finished).manifest()
+    manifest = RunFolder(finished).manifest()
+    assert {**copy.verify(), "checksums": trained_checksums(copy.manifest())} == {
+        **manifest,
+        "checksums": trained_checksums(manifest),
+    }
     assert not (copy.path / "evaluation.json").exists()
     assert copy.metrics() == RunFolder(finished).metrics()
     with pytest.raises(RunError, match="holds another run"):

@@ -33,7 +33,7 @@ def test_a_run_gives_its_parts(run, finished):
     assert run.experiment == tiny()
     assert len(run.cascade.policies) == 2
     assert run.world is run.cascade.world
-    assert run.manifest["format"] == 1
+    assert run.manifest["format"] == 2
 
 
 def test_the_cascade_does_again_what_was_recorded(run, finished):

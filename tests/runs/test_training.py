@@ -66,7 +66,7 @@ def test_a_finished_run_holds_all_its_parts(finished):
     }
     assert manifest["policies"] == ["base", "auxiliary"]
     assert manifest["environment_steps"] == 2 * 4 * 8 * 4
-    assert manifest["checksums"].keys() == {"experiment.toml", *POLICIES}
+    assert manifest["checksums"].keys() == {*KEPT, "metrics.jsonl"}
     assert RunFolder(finished).experiment() == tiny()
     assert plots.Recording.open(finished).policies == ["base", "auxiliary"]
 

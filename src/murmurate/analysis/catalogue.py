@@ -24,7 +24,14 @@ from murmurate.analysis.measures import nearest_distances, visibility_margin
 from murmurate.analysis.symmetry import SYMMETRY_TOLERANCE, Symmetry, symmetry
 from murmurate.errors import MAX_INTEGER, MAX_MAGNITUDE, InputError, check_choice, check_number
 from murmurate.geometry.hull import convex_layers
-from murmurate.geometry.similarity import configuration, distance, lower_bound, profile
+from murmurate.geometry.similarity import (
+    configuration,
+    distance,
+    lower_bound,
+    neighborhood_bound,
+    neighborhoods,
+    profile,
+)
 
 __all__ = ["TOLERANCE", "Catalogue", "Finding", "PatternClass", "unmatched"]
 
@@ -41,7 +48,7 @@ one robot is clearly at another place.
 
 FORMAT = 1
 ROUNDING = 1e-12
-"""By how much rounding may lift a lower bound above the distance."""
+"""By how much rounding may lift a lower bound above the distance, of the size of the patterns."""
 
 _LENGTH, _VALUE = (1 / MAX_MAGNITUDE, MAX_MAGNITUDE), (-MAX_MAGNITUDE, MAX_MAGNITUDE)
 _NUMBERS = {"radius": _LENGTH, "safe_distance": _LENGTH, "scan_radius": _LENGTH, "value": _VALUE, "gap": _VALUE}
@@ -333,14 +340,19 @@ def _group(
 ) -> list[list[tuple[Finding, float]]]:
     """Sorts findings, best first, into classes: lists of members and their distances from the first."""
     profiles = np.array([profile(finding.positions, scaling=scaling) for finding in findings])
+    around = [neighborhoods(finding.positions, scaling=scaling) for finding in findings]
+    rounding = ROUNDING * max(1.0, float(profiles.max()))
     leaders: list[int] = []
     groups: list[list[tuple[Finding, float]]] = []
     for index, finding in enumerate(findings):
         bounds = np.sqrt(np.mean((profiles[leaders] - profiles[index]) ** 2, axis=1))
         joined, nearest = None, tolerance
         for number in np.argsort(bounds, kind="stable"):
-            if bounds[number] > nearest + ROUNDING:
+            if bounds[number] > nearest + rounding:
                 break
+            # Most of those that the first bound leaves are ruled out by the second, at a tenth of the time.
+            if neighborhood_bound(around[leaders[number]], around[index]) > nearest + rounding:
+                continue
             leader = findings[leaders[number]].positions
             apart = distance(leader, finding.positions, scaling=scaling, reflection=reflection, limit=nearest)
             if apart <= nearest:

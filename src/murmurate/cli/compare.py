@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from murmurate.cli.arguments import Parser
-from murmurate.errors import InputError, RunError
+from murmurate.errors import InputError, RunError, printable
 
 if TYPE_CHECKING:
     from murmurate.runs.comparison import Comparison
@@ -101,12 +101,12 @@ def _runs(options: Namespace, sensings: Sequence[str]) -> dict[str, dict[str, Ru
 def _write(options: Namespace, comparison: Comparison) -> None:
     """Writes the table and the figures of all rows that the folder holds."""
     from murmurate import plots
-    from murmurate.runs import comparison_page, files
-    from murmurate.runs.comparison import find_baseline, is_baseline, load, sorted_rows
+    from murmurate.runs import comparison_page, escape, files
+    from murmurate.runs.comparison import deviations, is_baseline, load, sorted_rows
     from murmurate.world import scaled_to
 
     out = Path(options.out)
-    rows, commands = sorted_rows(out), load(out).get("commands", [])
+    rows, commands = sorted_rows(out), load(out)["commands"]
     pictures = [out / "comparison.png"]
     plots.save(plots.comparison_figure(rows), pictures[0])
     # Baselines fail in known ways: of interest is where learned methods do.
@@ -116,9 +116,7 @@ def _write(options: Namespace, comparison: Comparison) -> None:
         worlds = {row["robots"]: scaled_to(world, row["robots"]) for row in rows}
         pictures.append(out / "failures.png")
         plots.save(plots.failures_figure(learned, worlds), pictures[1])
-    methods = dict.fromkeys(row["method"] for row in rows if is_baseline(row["method"]))
-    deviations = {method: find_baseline(method).deviations for method in methods}
-    notes = [f"`{method}`: {text}" for method, text in deviations.items() if text]
+    notes = [f"{escape.code(method)}: {text}" for method, text in deviations(rows).items()]
     files.write_text(out / "comparison.md", comparison_page.page(rows, commands, notes))
     if options.into is not None:
         page = Path(options.into)
@@ -130,7 +128,7 @@ def _write(options: Namespace, comparison: Comparison) -> None:
 
 def _line(row: dict[str, Any]) -> str:
     low, high = (100 * share for share in row["interval"])
-    condition = f"{row['method']}, {row['sensing']}, {row['scheduler']}, {row['start']}, N = {row['robots']}"
+    condition = f"{printable(row['method'])}, {row['sensing']}, {row['scheduler']}, {row['start']}, N = {row['robots']}"
     valid = f"{row['valid']} of {row['episodes']} valid ({low:.1f}-{high:.1f}%)"
     return f"{condition}: {valid}, {row['collisions']} collided, {row['left']} left the world"
 

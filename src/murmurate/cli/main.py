@@ -14,7 +14,8 @@ from collections.abc import Sequence
 from typing import Any
 
 from murmurate import __version__, compilation_cache
-from murmurate.errors import BeyondTrainingWarning, InputError, RunError, UsageError, suggestion
+from murmurate.errors import MAX_LINE, BeyondTrainingWarning, InputError, RunError, UsageError, one_line, suggestion
+from murmurate.interrupts import sigterm_as_interrupt
 
 __all__ = ["main"]
 
@@ -49,7 +50,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
     try:
-        status = _run(arguments)
+        with sigterm_as_interrupt():
+            status = _run(arguments)
         sys.stdout.flush()
         return status
     except (InputError, RunError, UsageError) as error:
@@ -88,7 +90,7 @@ def _run(arguments: list[str]) -> int:
 
 def _warn(message: Warning | str, *_: Any, **__: Any) -> None:
     """Shows a warning as one line."""
-    print(f"murmurate: warning: {message}", file=sys.stderr)
+    print(one_line(f"murmurate: warning: {message}"), file=sys.stderr)
 
 
 def _help() -> str:
@@ -107,5 +109,5 @@ def _help() -> str:
 
 
 def _complain(message: str, status: int) -> int:
-    print(f"murmurate: {' '.join(message.split())}", file=sys.stderr)
+    print(one_line(f"murmurate: {message}", MAX_LINE + 100), file=sys.stderr)
     return status

@@ -63,13 +63,13 @@ def run(argv: Sequence[str]) -> int:
 
     from murmurate import plots
     from murmurate.plots.animation import check_target
+    from murmurate.runs.folder import RunFolder
 
     if options.animation is not None:
         check_target(options.animation, "--animation")  # before patterns are formed
     if folders:
-        return _draw(
-            plots.Recording.open(folders[0], options.trust), Path(options.out or folders[0] / "figures"), options
-        )
+        recording = plots.Recording.open(folders[0], options.trust)
+        return _draw(recording, Path(options.out or RunFolder(folders[0]).figures), options)
     return _form_patterns(options, **PRETRAINED | given)
 
 
@@ -79,6 +79,7 @@ def _form_patterns(
     """Lets the package's weights form patterns, keeps them as a run unless only an animation is wanted, and draws."""
     from murmurate import plots, pretrained
     from murmurate.runs.evaluate import evaluate
+    from murmurate.runs.folder import RunFolder
     from murmurate.world import Start
 
     check_choice("start", start, STARTS)
@@ -94,7 +95,7 @@ def _form_patterns(
     run.save(folder)
     evaluation.save(folder)
     print(summary)
-    return _draw(plots.Recording.open(folder), folder / "figures", options)
+    return _draw(plots.Recording.open(folder), RunFolder(folder).figures, options)
 
 
 def _draw(recording: Recording, out: Path, options: Namespace) -> int:

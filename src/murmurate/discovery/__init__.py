@@ -10,6 +10,7 @@ from murmurate.discovery.build import (
 )
 from murmurate.discovery.cascade import Cascade, RestRule
 from murmurate.discovery.curriculum import Curriculum
+from murmurate.discovery.limits import MAX_REST_STEPS, rollout
 from murmurate.discovery.problem import DiscoveryConfig, Problem, StageConfig
 from murmurate.discovery.search import Search, Snapshot, advance_together
 from murmurate.discovery.stage import Stage, policy_name
@@ -17,6 +18,7 @@ from murmurate.discovery.validity import Validity, bound_steps, check_validity
 from murmurate.types import Trajectories
 
 __all__ = [
+    "MAX_REST_STEPS",
     "Cascade",
     "Curriculum",
     "DiscoveryConfig",
@@ -38,4 +40,5 @@ __all__ = [
     "check_validity",
     "policy_name",
     "policy_templates",
+    "rollout",
 ]

@@ -14,6 +14,7 @@ from jaxtyping import Array, Float
 
 from murmurate.discovery.build import build_cascade, build_world
 from murmurate.discovery.curriculum import Curriculum
+from murmurate.discovery.limits import check_training, rollout
 from murmurate.discovery.problem import Problem
 from murmurate.discovery.stage import Stage, draw_key, policy_name, repeat_to, training_world
 from murmurate.discovery.validity import check_validity
@@ -63,6 +64,7 @@ class Search:
         self.curriculum = Curriculum(problem)
         self.world = build_world(problem)
         for part in self.curriculum.parts:
+            check_training(part)
             if problem.base.random_share:
                 check_start(UniformStart(), part.world)
             if problem.base.symmetric_share:
@@ -123,7 +125,7 @@ class Search:
         key, valid = draw_key(self.problem, index, "evaluation"), []
         for part, world in zip(self.curriculum.parts, self.part_worlds, strict=True):
             starts = draw_starts(world.start, key, part.discovery.episodes, world.config)
-            trajectories = build_cascade(part, policies, world).rollout(starts)
+            trajectories = rollout(build_cascade(part, policies, world), starts)
             valid.append(check_validity(trajectories, part.world, part.thresholds).valid)
         return float(sharding.broadcast(np.concatenate(valid)).mean())
 
@@ -134,7 +136,7 @@ class Search:
         # Every policy's sigma* comes from running the whole list so far from where the base policy was trained.
         world = training_world(self.problem, 0, self.world.start, self.begin().sigma)
         starts = draw_starts(world.start, draw_key(self.problem, index, "sigma"), config.sigma, world.config)
-        trajectories = build_cascade(self.problem, policies, self.world).rollout(starts)
+        trajectories = rollout(build_cascade(self.problem, policies, self.world), starts)
         final, terminated = sharding.broadcast((trajectories.final, trajectories.terminated))
         alive = final[~terminated]
         valid = self.validity(policies, index)

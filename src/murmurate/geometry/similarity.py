@@ -26,7 +26,16 @@ from scipy.optimize import linear_sum_assignment
 
 from murmurate.errors import InputError
 
-__all__ = ["Match", "align", "configuration", "distance", "lower_bound", "profile"]
+__all__ = [
+    "Match",
+    "align",
+    "configuration",
+    "distance",
+    "lower_bound",
+    "neighborhood_bound",
+    "neighborhoods",
+    "profile",
+]
 
 ROUNDING = 1e-14
 """Differences of overlaps that count as rounding, relative to the sum of all products."""
@@ -122,6 +131,24 @@ def lower_bound(first: Points, second: Points, *, scaling: bool = True) -> float
 def profile(positions: Points, *, scaling: bool = True) -> Float[np.ndarray, " robots"]:
     """Returns the sorted distances to the centroid; `lower_bound` is the root mean square difference of two."""
     return np.sort(np.abs(normalized(positions, scaling)))
+
+
+def neighborhoods(positions: Points, *, scaling: bool = True) -> Float[np.ndarray, "robots robots"]:
+    """Returns each robot's sorted distances to all robots, for `neighborhood_bound`."""
+    z = normalized(positions, scaling)
+    return np.sort(np.abs(z[:, None] - z[None]), axis=1)
+
+
+def neighborhood_bound(first: Float[np.ndarray, "robots robots"], second: Float[np.ndarray, "robots robots"]) -> float:
+    """Returns a lower bound on `distance` from the `neighborhoods` of two configurations, by one linear assignment.
+
+    In the best superposition let e_i be the displacement of robot i; their mean is 0, so the mean of |e_i - e_j|^2 over
+    all pairs is twice the square of the distance. Two robots' distance from each other changes by |e_i - e_j| at most,
+    and sorting a row brings rows together, never apart.
+    """
+    squares = ((first[:, None] - second[None]) ** 2).sum(axis=2)
+    rows, columns = linear_sum_assignment(squares)
+    return math.sqrt(squares[rows, columns].sum() / 2) / len(first)
 
 
 def _pair(first: Any, second: Any, scaling: bool) -> tuple[Any, Any]:

@@ -99,7 +99,8 @@ class Recording:
         """
         folder = RunFolder(run)
         folder.verify()
-        return cls(folder.experiment(trust), folder.trajectories(), _curves(folder.metrics()))
+        config = folder.experiment(trust)
+        return cls(config, folder.trajectories(config), _curves(folder.metrics()))
 
     def __repr__(self) -> str:
         return f"Recording({self.experiment.name}: {self.trajectories!r})"
@@ -174,7 +175,9 @@ def _curves(rows: Iterable[Mapping[str, Any]]) -> list[TrainingCurve]:
         TrainingCurve(
             name=str(updates[0]["name"]),
             environment_steps=np.array([row["environment_steps"] for row in updates], float),
-            signals={name: np.array([row["signals"][name] for row in updates]) for name in updates[0]["signals"]},
+            signals={
+                name: np.array([row["signals"][name] for row in updates], float) for name in updates[0]["signals"]
+            },
         )
         for _, updates in sorted(by_policy.items())
     ]

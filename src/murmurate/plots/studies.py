@@ -312,7 +312,9 @@ def comparison_figure(rows: Sequence[Row]) -> Figure:
         _draw_methods(ax, [row for row in rows if _condition(row) == panel], looks)
     handles = [Line2D([], [], markersize=4.5, label=method, **look) for method, look in looks.items()]
     position: dict[str, Any] = {"loc": "lower center", "bbox_to_anchor": (0.5, 0.0), "ncols": len(handles)}
-    figure.legend(handles=handles, fontsize=TEXT, labelcolor=INK, frameon=False, **position)
+    legend = figure.legend(handles=handles, fontsize=TEXT, labelcolor=INK, frameon=False, **position)
+    for text in legend.get_texts():
+        text.set_parse_math(False)  # a method is named after its folder, which may hold a $
     return figure
 
 
@@ -351,7 +353,7 @@ def failures_figure(rows: Sequence[Row], worlds: Mapping[int, WorldConfig]) -> F
         if not failure["free"]:
             for spine in ax.spines.values():
                 spine.set(color="#E69F00", linewidth=1.6)
-        ax.set_title(f"{row['method']}, N = {row['robots']}", fontsize=TEXT, color=INK, pad=14)
+        ax.set_title(f"{row['method']}, N = {row['robots']}", fontsize=TEXT, color=INK, pad=14, parse_math=False)
         ax.text(0.5, 1.02, _condition(row), transform=ax.transAxes, ha="center", fontsize=TEXT - 1.5, color=MUTED)
     return figure
 

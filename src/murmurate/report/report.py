@@ -22,8 +22,9 @@ from murmurate.report.data import ReportData
 from murmurate.report.figures import FOLDER, Pictures, draw_figures
 from murmurate.report.plan import TRAINING_PRESETS
 from murmurate.report.render import to_html
-from murmurate.report.tables import code, duration, plain
-from murmurate.runs import files
+from murmurate.report.tables import duration
+from murmurate.runs import escape, files
+from murmurate.runs.escape import code
 from murmurate.runs.folder import RunFolder
 from murmurate.runs.paper import EXPERIMENTS
 
@@ -133,7 +134,7 @@ def _text(data: ReportData) -> dict[str, str]:
         versions = ", ".join(f"{package} {version}" for package, version in machine.versions)
         made_with.append(
             f"- Machine {number}, {count} runs: {code(machine.platform)}, device {code(machine.device)}, "
-            + plain(f"murmurate {machine.murmurate}, {versions}.")
+            + escape.markdown(f"murmurate {machine.murmurate}, {versions}.")
         )
     return {
         "caution": f"> **{_CAUTION} {code(command.full)} measures those.**" if data.plan.quick else "",
@@ -240,7 +241,7 @@ def write(report: Report, folder: str | Path) -> None:
         RunError: A file cannot be written.
     """
     folder = Path(folder)
-    files.make_folder(folder / FOLDER)
+    files.make_folder(files.inside(folder, FOLDER))
     # First the file by which `check` knows a report: an interrupted one can then be replaced.
     files.write_json(folder / NUMBERS, report.numbers)
     for path, data in report.pictures.items():

@@ -12,6 +12,7 @@ from murmurate import plots
 from murmurate.discovery import Search
 from murmurate.errors import RunError
 from murmurate.report.plan import Plan, PlannedRun
+from murmurate.runs.evaluate import evaluated
 from murmurate.runs.execute import Executor, InProcess, run_jobs
 from murmurate.runs.folder import MANIFEST, FolderState, RunFolder, is_fresh
 from murmurate.runs.jobs import training_jobs
@@ -97,7 +98,7 @@ def read(planned: PlannedRun, folder: Path) -> Result:
         RunError: It is damaged or unfinished, or was evaluated from other starts than its experiment's.
     """
     run = RunFolder(folder)
-    manifest, summary = run.verify(), run.evaluation()
+    manifest, summary = run.verify(), evaluated(run)
     if not is_fresh(summary):
         raise RunError(f"{folder} was evaluated from other starts: make it again with murmurate evaluate {folder}")
     missing = NEEDED - manifest.keys()

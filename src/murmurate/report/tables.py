@@ -7,11 +7,11 @@ import re
 from collections.abc import Mapping, Sequence
 
 from murmurate.report.data import REASONS, Measures, Pattern
+from murmurate.runs.escape import code
 from murmurate.runs.paper import EXPERIMENTS
 
 __all__ = [
     "caption",
-    "code",
     "duration",
     "failures_table",
     "patterns_table",
@@ -40,11 +40,6 @@ def plain(text: str) -> str:
     """Returns text whose characters mean nothing to Markdown; what stands between two backticks remains code."""
     parts = text.split("`")
     return "`".join(part if i % 2 else re.sub(r"([\\*_\[\]<>|#~&])", r"\\\1", part) for i, part in enumerate(parts))
-
-
-def code(value: object) -> str:
-    """Returns a value as code, whatever characters it has."""
-    return f"`{str(value).replace('`', chr(39))}`"
 
 
 def caption(kind: str, text: str) -> str:

@@ -14,8 +14,9 @@ from murmurate.analysis import Catalogue, Finding
 from murmurate.analysis.optimum.best_known import best_known
 from murmurate.analysis.optimum.formation import Target
 from murmurate.errors import InputError, RunError
-from murmurate.runs import files
-from murmurate.runs.folder import RunFolder, is_fresh
+from murmurate.runs import escape, files
+from murmurate.runs.evaluate import evaluated
+from murmurate.runs.folder import RunFolder, is_fresh, trained_checksums
 from murmurate.world import Configuration, Objective
 
 __all__ = ["CATALOGUE", "CLASSES", "check_target", "read_findings", "write"]
@@ -62,19 +63,16 @@ def write(catalogue: Catalogue, folder: str | Path) -> None:
     files.make_folder(folder)
     files.write_json(folder / CATALOGUE, catalogue.to_dict())
     text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows(catalogue.rows())
+    csv.writer(text, lineterminator="\n").writerows([*map(escape.cell, row)] for row in catalogue.rows())
     files.write_text(folder / CLASSES, text.getvalue())
 
 
 def _run_findings(run: RunFolder, trust: bool) -> tuple[Finding, ...]:
-    manifest = run.verify()
-    config, summary = run.experiment(trust), run.evaluation()
+    manifest, config, summary = run.verify(), run.experiment(trust), evaluated(run, trust)
     episodes = sorted(set(range(summary["episodes"])) - set(summary["failures"]))
     if not episodes:  # the trajectories may not even be finite
         return ()
-    final = run.trajectories().final.astype(float)
-    if final.shape != (summary["episodes"], config.world.robots, 2):
-        raise RunError(f"{run.evaluation_files[1]} is not of the evaluation beside it")
+    final = run.trajectories(config).final.astype(float)
     objective = Objective(config.objective_signals)
     values = [float(objective(objective.measure(Configuration(points, config.world)))) for points in final]
     # Only for the paper's objectives, with its own weights, best-known patterns are kept.
@@ -102,5 +100,5 @@ def _run_findings(run: RunFolder, trust: bool) -> tuple[Finding, ...]:
 def _identity(manifest: Mapping[str, Any], summary: Mapping[str, Any]) -> str:
     """Returns a short checksum of the policies and of the starts that they were evaluated from."""
     starts = "fresh" if is_fresh(summary) else summary["starts"]
-    evaluation = [manifest["checksums"], starts, summary.get("seed"), summary["episodes"]]
+    evaluation = [trained_checksums(manifest), starts, summary.get("seed"), summary["episodes"]]
     return hashlib.sha256(json.dumps(evaluation, sort_keys=True).encode()).hexdigest()[:16]

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from murmurate.errors import InputError, RunError, UsageError, suggestion
+from murmurate.errors import InputError, RunError, UsageError, one_line, suggestion
 from murmurate.runs import worker
 from murmurate.runs.execute import Handle, Resources, WorkerExecutor, count_cores
 from murmurate.runs.jobs import Job
@@ -130,7 +130,7 @@ class _RayTask(Handle):
         except self.ray.exceptions.WorkerCrashedError:
             return "the worker died"
         except Exception as error:
-            return " ".join(f"Ray: {error}".split())
+            return one_line(f"Ray: {error}")
 
     def cancel(self) -> None:
         self.ray.cancel(self.reference, force=True)

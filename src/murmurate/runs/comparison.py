@@ -22,8 +22,8 @@ from jaxtyping import Float
 from murmurate import prng
 from murmurate.analysis.optimum.best_known import best_known
 from murmurate.analysis.optimum.formation import Target
-from murmurate.discovery import Trajectories, bound_steps, build_cascade, check_validity
-from murmurate.errors import InputError, RunError, check_choice, check_number
+from murmurate.discovery import Trajectories, bound_steps, build_cascade, check_validity, rollout
+from murmurate.errors import MAX_MAGNITUDE, InputError, RunError, check_choice, check_number, printable, shown
 from murmurate.geometry import neighbors_and_visible
 from murmurate.policies import LocalPolicy
 from murmurate.policies.baselines import Baseline
@@ -32,9 +32,11 @@ from murmurate.runs import config_io, files
 from murmurate.runs.evaluate import wilson
 from murmurate.runs.execute import Executor, InProcess, locked, run_jobs
 from murmurate.runs.experiment import ExperimentConfig, check_seed, make_importer
+from murmurate.runs.folder import trained_checksums
 from murmurate.runs.jobs import Job
 from murmurate.runs.run import MAX_EPISODES, Run
 from murmurate.world import (
+    MAX_ROBOTS,
     AsyncScheduler,
     Family,
     FsyncScheduler,
@@ -57,6 +59,7 @@ __all__ = [
     "ConditionJob",
     "compare",
     "conditions",
+    "deviations",
     "find_baseline",
     "is_baseline",
     "load",
@@ -87,6 +90,9 @@ RANDOM = "random"
 
 MAX_WORST = 3
 """Failures of each condition that are kept, to be drawn."""
+
+MAX_ROWS = 10_000
+"""Rows of a comparison, at most."""
 
 MAX_PAIRS = 2**18
 """Pairs of robots in one batch of episodes, at most."""
@@ -154,16 +160,26 @@ def is_baseline(method: str) -> bool:
     return method in Baseline.registered() or ":" in method
 
 
-def find_baseline(method: str) -> type[Baseline]:
+def find_baseline(method: str, trusted: bool = True) -> type[Baseline]:
     """Returns the class of a baseline.
 
     Args:
         method: Its registered name, or "module:Class", importable from the working folder or the Python path.
+        trusted: Whether its module may be imported, which executes it: where the user names it, and not a file.
 
     Raises:
         InputError: There is no such class, it is no `Baseline`, or it cannot be imported.
     """
-    return Importer((Path.cwd(),)).find(Baseline, method, "method")
+    return Importer((Path.cwd(),), trusted).find(Baseline, method, "method")
+
+
+def deviations(rows: Sequence[Mapping[str, Any]]) -> dict[str, str]:
+    """Returns how the baselines of a table deviate from what was published, by name; of those that are known here."""
+    notes = {}
+    for method in dict.fromkeys(row["method"] for row in rows if is_baseline(row["method"])):
+        with contextlib.suppress(InputError):  # a stranger's table may name any module: it is not imported
+            notes[method] = find_baseline(method, trusted=False).deviations
+    return {method: text for method, text in notes.items() if text}
 
 
 def conditions(
@@ -242,7 +258,9 @@ def compare(
     rows = _read_rows(path, settings) if path.exists() else {}
     before = load(folder) if path.exists() else {}
     settings["weights"] = {**before.get("weights", {}), **settings["weights"]}
-    settings["commands"] = list(dict.fromkeys([*before.get("commands", []), *([command] if command else [])]))
+    settings["commands"] = list(
+        dict.fromkeys([*before.get("commands", []), *([printable(command)] if command else [])])
+    )
     jobs = {}
     for condition in wanted:
         run = runs[condition.method][condition.sensing] if condition.method in runs else None
@@ -252,7 +270,7 @@ def compare(
             job = ConditionJob(folder / JOBS / _file_name(str(condition)), comparison, condition, run)
             jobs[job.name] = job
     files.make_folder(folder)
-    with locked(folder / JOBS):
+    with locked(files.inside(folder, JOBS)):
         for old in (folder / JOBS).iterdir():
             # Left over from a comparison that was interrupted, perhaps with other weights.
             if old.is_dir():
@@ -341,10 +359,67 @@ def load(folder: str | Path) -> dict[str, Any]:
     Raises:
         RunError: It is missing or damaged.
     """
-    comparison = files.read_json(Path(folder) / COMPARISON)
-    if not isinstance(comparison, dict) or not isinstance(comparison.get("rows"), list):
-        raise RunError(f"{Path(folder) / COMPARISON} is not a comparison")
+    path = files.inside(folder, COMPARISON)
+    comparison = files.read_json_object(path)
+    rows, commands = comparison.get("rows"), comparison.setdefault("commands", [])
+    if not isinstance(rows, list) or len(rows) > MAX_ROWS:
+        raise RunError(f"{path} is not a comparison")
+    if not isinstance(commands, list) or not all(_is_command(command) for command in commands):
+        raise RunError(f"{path} is damaged: its commands are not those of murmurate compare")
+    if not isinstance(comparison.setdefault("weights", {}), dict):
+        raise RunError(f"{path} is damaged: its weights are not named")
+    for number, row in enumerate(rows, 1):
+        wrong = _wrong_field(row)
+        if wrong is not None:
+            value = row.get(wrong) if isinstance(row, dict) else row
+            raise RunError(f"{path} is damaged: row {number} has {wrong} = {shown(value)}")
     return comparison
+
+
+def _is_command(value: Any) -> bool:
+    return isinstance(value, str) and value.isprintable() and len(value) <= 10_000
+
+
+def _wrong_field(row: Any) -> str | None:
+    """Returns the first field of a row of comparison.json that is missing or not what it should be; None if all are."""
+    if not isinstance(row, dict):
+        return "a value"
+    counts = dict.fromkeys(("valid", "collisions", "left", "hidden", "restless"), row.get("episodes"))
+    for name, high in {"robots": MAX_ROBOTS, "episodes": MAX_EPISODES, **counts}.items():
+        value, low = row.get(name), 0 if name in counts else {"robots": 2}.get(name, 1)
+        if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
+            return name
+    for name, allowed in {"sensing": SENSINGS, "scheduler": SCHEDULERS, "start": (RANDOM, *get_args(Family))}.items():
+        if not isinstance(row.get(name), str) or row[name] not in allowed:
+            return name
+    if not isinstance(row.get("method"), str) or not 0 < len(row["method"]) <= 255:
+        return "method"
+    for name in ("steps", "epochs", "efficiency", "gap"):
+        if name not in row or not (row[name] is None or files.is_number(row[name])):
+            return name
+    interval, worst = row.get("interval"), row.get("worst")
+    if not isinstance(interval, list) or len(interval) != 2 or not all(map(_is_share, interval)):
+        return "interval"
+    if not isinstance(worst, list) or not all(_is_failure(failure, row["robots"]) for failure in worst):
+        return "worst"
+    return None
+
+
+def _is_share(value: Any) -> bool:
+    return files.is_number(value) and 0 <= value <= 1
+
+
+def _is_failure(failure: Any, robots: int) -> bool:
+    if not isinstance(failure, dict) or not isinstance(failure.get("free"), bool):
+        return False
+    points = failure.get("positions")
+    return isinstance(points, list) and len(points) == robots and all(map(_is_point, points))
+
+
+def _is_point(point: Any) -> bool:
+    if not isinstance(point, list) or len(point) != 2:
+        return False
+    return all(files.is_number(value) and abs(value) <= MAX_MAGNITUDE for value in point)
 
 
 def sorted_rows(folder: str | Path) -> list[dict[str, Any]]:
@@ -383,7 +458,7 @@ def _settings(comparison: Comparison, runs: Mapping[str, Mapping[str, Run]]) -> 
 
 
 def _fingerprint(run: Run) -> str:
-    return hashlib.sha256(files.to_json(run.manifest.get("checksums", {})).encode()).hexdigest()[:16]
+    return hashlib.sha256(files.to_json(trained_checksums(run.manifest)).encode()).hexdigest()[:16]
 
 
 def _file_name(text: str) -> str:
@@ -409,13 +484,10 @@ def _read_rows(path: Path, settings: Mapping[str, Any]) -> dict[Condition, dict[
             with contextlib.suppress(InputError):
                 same = {key: config_io.from_dict(kind, fields) for key, fields in old.items()} == strategies
         if not same:
-            what = f"{name} is {old!r} there, {value!r} here"
+            what = f"{name} is {shown(old)} there, {shown(value)} here"
             raise RunError(f"{path} holds another comparison: {what}; choose another folder")
-    try:
-        rows = {Condition(*(row[name] for name in Condition.__dataclass_fields__)): row for row in recorded["rows"]}
-        return {condition: {**row, "episodes": int(row["episodes"])} for condition, row in rows.items()}
-    except (KeyError, TypeError) as error:
-        raise RunError(f"{path} is damaged: a row lacks {error}") from None
+    names = Condition.__dataclass_fields__
+    return {Condition(*(row[name] for name in names)): row for row in recorded["rows"]}
 
 
 @prng.reproducible()
@@ -464,7 +536,7 @@ def _rollouts(
     for first in range(0, comparison.episodes, size):
         starts = draw_starts(drawn, jax.random.fold_in(key, first), size, problem.world)
         # Each batch of each seed has frames, noise and a scheduler of its own.
-        batch = cascade.rollout(starts, seed=(comparison.seed * MAX_EPISODES + first) % 2**32)
+        batch = rollout(cascade, starts, (comparison.seed * MAX_EPISODES + first) % 2**32)
         yield _first_episodes(batch, comparison.episodes - first)
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from murmurate.errors import printable
+from murmurate.runs import escape
 from murmurate.runs.table import NONE, Row, as_markdown
 
 __all__ = ["HEADER", "kept", "page", "put_into", "table_rows", "tables"]
@@ -62,7 +64,8 @@ def tables(rows: Sequence[Mapping[str, Any]]) -> str:
         shared[CONDITION.index("method")] &= not all(shared)
         columns = [column for column in range(len(HEADER)) if column >= len(CONDITION) or not shared[column]]
         named = zip(CONDITION, group[0], shared, strict=False)
-        title = ", ".join(_TITLES.get(name, "{}").format(value) for name, value, is_shared in named if is_shared)
+        titles = (_TITLES.get(name, "{}").format(escape.markdown(value)) for name, value, shares in named if shares)
+        title = ", ".join(titles)
         cells = [tuple(row[column] for column in columns) for row in group]
         parts.append(f"### {title[0].upper()}{title[1:]}\n\n{as_markdown([HEADER[c] for c in columns], cells)}")
     return "\n".join(parts)
@@ -89,7 +92,7 @@ def page(
         "Made by",
         "",
         "```sh",
-        *commands,
+        *(printable(command).replace("```", "'''") for command in commands),
         "```",
         "",
         "Under each condition all methods have the same starts, none of them seen in training, the same speed limit,",
@@ -102,10 +105,10 @@ def page(
         tables(rows),
         *(f"- {note}" for note in notes),
         *([""] if notes else []),
-        f"![Valid patterns by method]({pictures}comparison.png)",
+        f"![Valid patterns by method]({escape.link(pictures)}comparison.png)",
     ]
     if failures:
-        lines += ["", f"![The worst failures]({pictures}failures.png)"]
+        lines += ["", f"![The worst failures]({escape.link(pictures)}failures.png)"]
     return "\n".join(lines) + "\n"
 
 

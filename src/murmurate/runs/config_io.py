@@ -23,8 +23,10 @@ from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get
 
 import tomli_w
 
-from murmurate.errors import InputError, suggestion
+from murmurate import untrusted
+from murmurate.errors import InputError, one_line, suggestion
 from murmurate.registry import Importer, Strategy
+from murmurate.runs import files
 
 __all__ = [
     "OLD_USE",
@@ -48,6 +50,10 @@ __all__ = [
 
 T = TypeVar("T")
 NONE = "none"
+
+MAX_TOML_BYTES, MAX_KEY_PARTS = 1 << 20, 40
+"""Size of a TOML file, and dots in one of its keys or numbers, at most."""
+
 USE, OLD_USE = "use", "kind"
 """The field that names the class of a strategy, and what version 0.1.0 called it."""
 
@@ -233,17 +239,29 @@ def spelled(value: Any) -> str:
     return str(value).lower() if value is None or isinstance(value, bool) else str(value)
 
 
-def load_toml(path: str | Path) -> dict[str, Any]:
-    """Reads a TOML file.
+def load_toml(path: str | Path, follow: bool = True) -> dict[str, Any]:
+    """Reads a TOML file, which may be a stranger's.
+
+    Args:
+        path: The file.
+        follow: Whether it may be a link: for files that the user names, not for those of a run.
 
     Raises:
-        InputError: The file is not valid TOML; the message names the line.
-        OSError: The file cannot be read.
+        InputError: The file is not valid TOML, or nests too deep; the message names the line.
+        OSError: The file cannot be read, or is too large.
     """
     try:
-        return tomllib.loads(Path(path).read_bytes().decode())
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError("configuration file", str(path), f"valid TOML: {error}") from None
+        text = untrusted.read(path, MAX_TOML_BYTES, follow).decode()
+        # tomllib takes a time that grows with the square of the parts of a key.
+        if any(piece.count(".") > MAX_KEY_PARTS for piece in re.split(r"[=,{}\[\]\n\"']", text)):
+            raise ValueError(f"a key has more than {MAX_KEY_PARTS} parts")
+        data = tomllib.loads(text)
+        files.check_plain(data)
+        return data
+    except RecursionError:
+        raise InputError("configuration file", str(path), "valid TOML: it nests too deep") from None
+    except ValueError as error:  # TOMLDecodeError and UnicodeDecodeError are ones, and so is Python's of long integers
+        raise InputError("configuration file", str(path), f"valid TOML: {one_line(str(error), 100)}") from None
 
 
 def dump_toml(config: Any) -> str:

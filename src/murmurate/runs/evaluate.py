@@ -20,7 +20,7 @@ from murmurate.runs.presets import command
 from murmurate.runs.run import Run
 from murmurate.world import Configuration, Objective
 
-__all__ = ["EPISODES", "SEED", "Evaluation", "evaluate", "wilson"]
+__all__ = ["EPISODES", "SEED", "Evaluation", "evaluate", "evaluated", "wilson"]
 
 EPISODES = 200
 """Episodes of an evaluation, as in the paper."""
@@ -51,35 +51,22 @@ class Evaluation:
 
     def summary(self) -> dict[str, Any]:
         """Returns what evaluation.json holds."""
-        trajectories, validity = self.trajectories, self.validity
-        episodes, bound = len(trajectories.lengths), float(self.bound.mean())
-        total = float(trajectories.lengths.mean())
-        # A list of one policy has no switch: all steps are the base policy's.
-        base = float((trajectories.switch[:, 0] if trajectories.switch.shape[1] else trajectories.lengths).mean())
-        conditions = ("contact_free", "inside", "mutually_visible", "gathered", "safe", "at_rest", "valid")
-        signal = {name: float(trajectories.signals[name][:, -1].mean()) for name in self.objective.names}
+        measured, bound = _measured(self.trajectories, self.validity), float(self.bound.mean())
+        signal = {name: float(self.trajectories.signals[name][:, -1].mean()) for name in self.objective.names}
         objective = float(self.objective(signal))
         known = None if self.target is None else best_known(self.target)
         return {
             "experiment": self.experiment.name,
             "robots": self.experiment.world.robots,
-            "episodes": episodes,
             "seed": self.seed,
             "starts": self.starts,
-            **{name: float(getattr(validity, name).mean()) for name in conditions},
-            "valid_interval": list(wilson(int(validity.valid.sum()), episodes)),
-            "thresholds": {name: float(reached.mean()) for name, reached in validity.signals.items()},
-            "base_steps": base,
-            "auxiliary_steps": total - base,
-            "total_steps": total,
-            "epochs": float(trajectories.epochs.mean()),
+            **measured,
             "bound_steps": bound,
-            "efficiency": bound / max(total, 1.0),
+            "efficiency": bound / max(measured["total_steps"], 1.0),
             "signal": {**signal, "total": objective},
             "best_known": known,
             "gap": None if known is None else known - objective,
             "best_found": None if self.best is None else float(self.values[self.best]),
-            "failures": np.flatnonzero(~validity.valid).tolist(),
         }
 
     @property
@@ -185,6 +172,44 @@ def evaluate(
         validity=check_validity(trajectories, experiment.world, experiment.thresholds),
         bound=np.array(bound),
     )
+
+
+def evaluated(run: RunFolder, trust: bool = False) -> dict[str, Any]:
+    """Reads the summary of a run's evaluation; what its positions show is computed from them and not believed.
+
+    Args:
+        run: The folder of a finished run.
+        trust: Whether modules that its configuration names may be imported.
+
+    Raises:
+        RunError: It is missing or damaged, or its positions are not those of the run.
+    """
+    run.verify()
+    config, summary = run.experiment(trust), run.evaluation()
+    # Nothing is claimed where no episode is valid: its positions may not even be finite, where a training diverged.
+    if not run.evaluation_files[1].exists() or len(summary["failures"]) == summary["episodes"]:
+        return summary
+    trajectories = run.trajectories(config)
+    return summary | _measured(trajectories, check_validity(trajectories, config.world, config.thresholds))
+
+
+def _measured(trajectories: Trajectories, validity: Validity) -> dict[str, Any]:
+    """Returns what evaluation.json says of the episodes, but for what takes long to compute."""
+    episodes, total = len(trajectories.lengths), float(trajectories.lengths.mean())
+    # A list of one policy has no switch: all steps are the base policy's.
+    base = float((trajectories.switch[:, 0] if trajectories.switch.shape[1] else trajectories.lengths).mean())
+    conditions = ("contact_free", "inside", "mutually_visible", "gathered", "safe", "at_rest", "valid")
+    return {
+        "episodes": episodes,
+        **{name: float(getattr(validity, name).mean()) for name in conditions},
+        "valid_interval": list(wilson(int(validity.valid.sum()), episodes)),
+        "thresholds": {name: float(reached.mean()) for name, reached in validity.signals.items()},
+        "failures": np.flatnonzero(~validity.valid).tolist(),
+        "base_steps": base,
+        "auxiliary_steps": total - base,
+        "total_steps": total,
+        "epochs": float(trajectories.epochs.mean()),
+    }
 
 
 def wilson(successes: int, trials: int, z: float = 1.96) -> tuple[float, float]:

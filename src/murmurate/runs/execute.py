@@ -9,17 +9,16 @@ from __future__ import annotations
 import abc
 import contextlib
 import os
-import signal
 import subprocess
-import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
+from murmurate import untrusted
 from murmurate.errors import InputError, RunError, check_number
+from murmurate.interrupts import sigterm_as_interrupt
 from murmurate.runs import files, worker
 from murmurate.runs.grid import MAX_RUNS
 from murmurate.runs.jobs import Job, JobStatus, initial_statuses
@@ -76,7 +75,7 @@ def run_jobs(
         InputError: In this process, a job is impossible.
     """
     statuses = initial_statuses(jobs) if statuses is None else statuses
-    with _sigterm_as_interrupt(), LiveTable(jobs, statuses, quiet) as live_table:
+    with sigterm_as_interrupt(), LiveTable(jobs, statuses, quiet) as live_table:
 
         def end(name: str) -> None:
             live_table.report(name)
@@ -96,7 +95,7 @@ def locked(folder: Path) -> Iterator[None]:
     """
     with files.os_errors_as_run_errors(f"cannot write to {folder}"):
         folder.mkdir(parents=True, exist_ok=True)
-        lock = (folder / ".lock").open("a")
+        lock = untrusted.append(folder / ".lock")
     with lock:
         try:
             if fcntl is not None:
@@ -104,23 +103,6 @@ def locked(folder: Path) -> Iterator[None]:
         except BlockingIOError:
             raise RunError(f"{folder}: another command is at work there") from None
         yield
-
-
-@contextlib.contextmanager
-def _sigterm_as_interrupt() -> Iterator[None]:
-    """Lets a request to end, such as a batch system sends, end workers as Ctrl-C does."""
-    if threading.current_thread() is not threading.main_thread():  # only the main thread may handle signals
-        yield
-        return
-
-    def interrupt(*_: Any) -> None:
-        raise KeyboardInterrupt
-
-    before = signal.signal(signal.SIGTERM, interrupt)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 # Executors

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from murmurate.discovery import Problem
+from murmurate import untrusted
+from murmurate.discovery import MAX_REST_STEPS, Problem
 from murmurate.discovery.problem import GATHERING
-from murmurate.errors import InputError, RunError, check_choice, check_number
+from murmurate.errors import InputError, RunError, check_choice, check_number, shown
 from murmurate.registry import Importer, source_folder
 from murmurate.runs import config_io, files
 from murmurate.world import OBJECTIVES, FileStart, scaled_to
+from murmurate.world.starts import MAX_STARTS_BYTES
 
 __all__ = [
     "EXPERIMENT",
@@ -54,6 +57,7 @@ class ExperimentConfig(Problem):
     def __post_init__(self) -> None:
         check_choice("objective", self.objective, tuple(OBJECTIVES))
         check_seed(self.seed)
+        check_number("rest.max_steps", self.rest.max_steps, 1, MAX_REST_STEPS, integer=True)
         if not re.fullmatch(r"\w[\w .+-]{0,63}", self.name):
             raise InputError("name", self.name, "up to 64 letters, digits, spaces and . + - _")
         self._check_signals()
@@ -140,13 +144,20 @@ def read_toml(path: str | Path) -> dict[str, Any]:
         InputError: The file is not valid TOML.
         OSError: The file cannot be read.
     """
-    data, folder = config_io.load_toml(path), Path(path).parent
+    return _with_absolute_paths(config_io.load_toml(path), Path(path).parent)
+
+
+def _with_absolute_paths(data: dict[str, Any], folder: Path) -> dict[str, Any]:
     start, modules = data.get("start"), data.get("modules")
     file = start.get("file") if isinstance(start, Mapping) else None
     if file and isinstance(file, str):
         data = config_io.merged(data, {"start": {"file": str(folder / file)}})
     if isinstance(modules, Mapping):
-        absolute = {name: str((folder / value).resolve()) for name, value in modules.items() if isinstance(value, str)}
+        absolute = {
+            name: os.path.realpath(folder / value)
+            for name, value in modules.items()
+            if isinstance(value, str) and "\0" not in value
+        }
         data = config_io.merged(data, {"modules": absolute})
     return data
 
@@ -180,9 +191,15 @@ def save(config: ExperimentConfig, folder: str | Path) -> None:
     config = replace(config, modules=modules)
     if isinstance(start, FileStart):
         config = replace(config, start=replace(start, file=STARTS))
-    files.write_text(folder / EXPERIMENT, config_io.dump_toml(config))
+    # The starts first: they may be this very folder's, and a run without them cannot be read.
     if isinstance(start, FileStart):
-        files.write_bytes(folder / STARTS, Path(start.file).read_bytes())
+        files.write_bytes(files.inside(folder, STARTS), _read_starts(start.file))
+    files.write_text(files.inside(folder, EXPERIMENT), config_io.dump_toml(config))
+
+
+def _read_starts(path: str) -> bytes:
+    with files.os_errors_as_run_errors(f"cannot read {path}"):
+        return untrusted.read(path, MAX_STARTS_BYTES, follow=True)
 
 
 def load(folder: str | Path, trusted: bool = False) -> ExperimentConfig:
@@ -197,12 +214,28 @@ def load(folder: str | Path, trusted: bool = False) -> ExperimentConfig:
     """
     path = Path(folder) / EXPERIMENT
     try:
-        data = read_toml(path)
+        data = config_io.load_toml(files.inside(folder, EXPERIMENT), follow=False)
+        _check_own_starts(data, Path(folder))
+        data = _with_absolute_paths(data, Path(folder))
         return config_io.from_dict(ExperimentConfig, data, importer=make_importer(data, trusted=trusted))
     except InputError as error:
         raise RunError(f"{path}: {error}") from None
     except OSError as error:
         raise RunError(f"cannot read {path}: {error.strerror or error}") from None
+
+
+def _check_own_starts(data: Any, folder: Path, where: str = "start") -> None:
+    """Checks that the starts of a run, those of mixtures too, are its own file: any other may be anywhere."""
+    start = data.get("start") if where == "start" else data
+    if not isinstance(start, Mapping):
+        return
+    file = start.get("file")
+    if file and file != STARTS:
+        raise InputError(f"{where}.file", file, f"{STARTS}, the run's own file of starts")
+    if file:
+        files.inside(folder, STARTS)
+    for name in ("first", "second"):
+        _check_own_starts(start.get(name), folder, f"{where}.{name}")
 
 
 def check_same(config: ExperimentConfig, folder: str | Path) -> None:
@@ -220,9 +253,7 @@ def check_same(config: ExperimentConfig, folder: str | Path) -> None:
         old, new = recorded.get(path), given.get(path)
         same = old == new
         if path == "start.file" and old and new:
-            copy = Path(old)
-            same = not copy.exists() or copy.read_bytes() == Path(new).read_bytes()
+            same = not Path(old).exists() or _read_starts(old) == _read_starts(new)
         if not same:
-            raise RunError(
-                f"{folder} holds another experiment: {path} is {old!r} there, {new!r} here; choose another folder"
-            )
+            what = f"{path} is {shown(old)} there, {shown(new)} here"
+            raise RunError(f"{folder} holds another experiment: {what}; choose another folder")

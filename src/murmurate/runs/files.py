@@ -1,7 +1,9 @@
 """Files written whole or not at all and checked when read: JSON, NumPy arrays, rows of metrics, trees of arrays.
 
 Every file is written under another name and then moved into place, so that a killed process or a full disk never leaves
-half a file. Nothing is pickled: a file from a stranger is safe to read.
+half a file. Nothing is pickled, no link is followed (see `untrusted`), and whatever is read has a bound: the size of a
+file, how deep it nests, the digits of a number, the memory of its arrays. A file from a stranger is safe to read: all
+that can come of it is a `RunError`.
 """
 
 from __future__ import annotations
@@ -12,9 +14,10 @@ import io
 import json
 import math
 import os
-from collections.abc import Iterable, Iterator, Mapping
+import zipfile
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -22,23 +25,34 @@ import numpy as np
 import safetensors
 import safetensors.numpy
 
-from murmurate.errors import RunError
+from murmurate import untrusted
+from murmurate.errors import RunError, one_line
 
 __all__ = [
+    "MAX_ARRAY_BYTES",
+    "MAX_BYTES",
+    "MAX_JSON_BYTES",
+    "ArrayHeader",
     "append_rows",
+    "check_plain",
     "checksum",
     "entries",
     "fit_tree",
+    "inside",
+    "is_number",
     "make_folder",
     "make_writable",
     "os_errors_as_run_errors",
+    "parse_json",
     "read_bytes",
     "read_json",
     "read_json_object",
+    "read_last_rows",
     "read_notes",
     "read_npz",
     "read_rows",
     "read_tree",
+    "remove_partial",
     "to_json",
     "truncate_rows",
     "write_bytes",
@@ -51,6 +65,24 @@ __all__ = [
 T = TypeVar("T")
 
 _PROBE_BYTES = 1 << 16
+
+MAX_BYTES = 1 << 30
+"""Size of any file that is read, at most."""
+
+MAX_JSON_BYTES = 1 << 25
+"""Size of a JSON file: a catalogue of 40,000 patterns of ten robots. As Python objects it takes much more memory."""
+
+MAX_ROWS_BYTES = 1 << 28
+"""Size of a file of rows: half a million updates."""
+
+MAX_DEPTH = 32
+"""How deep JSON and TOML may nest: what is written here nests four or five deep."""
+
+MAX_DIGITS = 400
+"""Digits of an integer: more than a float can hold, and few enough for Python to read."""
+
+MAX_ARRAY_BYTES = 1 << 32
+"""Memory of the arrays that are read of one file: more than the greatest rollout, see `run.MAX_RECORD_BYTES`."""
 
 
 @contextlib.contextmanager
@@ -87,6 +119,23 @@ def make_folder(path: str | Path) -> None:
         Path(path).mkdir(parents=True, exist_ok=True)
 
 
+def inside(folder: str | Path, name: str) -> Path:
+    """Returns the path of a file or folder inside a folder, which may be a stranger's.
+
+    Raises:
+        RunError: A part of the name is a link there: it could lead anywhere.
+    """
+    with os_errors_as_run_errors(f"cannot use {Path(folder) / name}"):
+        return untrusted.check_inside(folder, name)
+
+
+def remove_partial(folder: str | Path) -> None:
+    """Removes the unfinished files that killed processes left in a folder, which no other process may be writing to."""
+    with contextlib.suppress(OSError):
+        for path in untrusted.partial_files(Path(folder)):
+            path.unlink(missing_ok=True)
+
+
 def make_writable(folder: str | Path) -> None:
     """Creates a folder and writes a file on trial; removes the folders that it created if that fails.
 
@@ -98,11 +147,8 @@ def make_writable(folder: str | Path) -> None:
     try:
         with os_errors_as_run_errors(f"cannot write to {folder}"):
             folder.mkdir(parents=True, exist_ok=True)
-            probe = folder / ".probe.partial"
-            try:
-                _write_synced(probe, bytes(_PROBE_BYTES))
-            finally:
-                probe.unlink(missing_ok=True)
+            with untrusted.create(folder / "probe", bytes(_PROBE_BYTES)):
+                pass
     except BaseException:
         for path in missing:
             with contextlib.suppress(OSError):
@@ -113,14 +159,14 @@ def make_writable(folder: str | Path) -> None:
 # Whole files
 
 
-def read_bytes(path: str | Path) -> bytes:
-    """Reads a file.
+def read_bytes(path: str | Path, max_bytes: int = MAX_BYTES) -> bytes:
+    """Reads a regular file; a link is not followed.
 
     Raises:
-        RunError: It is missing or cannot be read.
+        RunError: It is missing, larger than `max_bytes`, or cannot be read.
     """
     with os_errors_as_run_errors(f"cannot read {path}"):
-        return Path(path).read_bytes()
+        return untrusted.read(path, max_bytes)
 
 
 def write_bytes(path: str | Path, data: bytes) -> None:
@@ -129,16 +175,8 @@ def write_bytes(path: str | Path, data: bytes) -> None:
     Raises:
         RunError: It cannot be written; the file that was there before still is.
     """
-    path = Path(path)
-    partial = path.with_name(f".{path.name}.partial")
-    try:
-        with os_errors_as_run_errors(f"cannot write {path}"):
-            _write_synced(partial, data)
-            partial.replace(path)
-    except BaseException:
-        with contextlib.suppress(OSError):
-            partial.unlink()
-        raise
+    with os_errors_as_run_errors(f"cannot write {path}"):
+        untrusted.replace(path, data)
 
 
 def write_text(path: str | Path, text: str) -> None:
@@ -152,8 +190,7 @@ def checksum(path: str | Path) -> str:
     Raises:
         RunError: It cannot be read.
     """
-    with os_errors_as_run_errors(f"cannot read {path}"), Path(path).open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+    return hashlib.sha256(read_bytes(path)).hexdigest()
 
 
 # JSON and arrays
@@ -169,15 +206,77 @@ def write_json(path: str | Path, value: Any) -> None:
     write_text(path, to_json(value, indent=2) + "\n")
 
 
+def parse_json(data: bytes | str) -> Any:
+    """Reads JSON (UTF-8) that may be a stranger's.
+
+    Raises:
+        ValueError: It is not JSON, nests deeper than `MAX_DEPTH`, or holds numbers or text that cannot be written.
+    """
+    try:
+        text = data.decode() if isinstance(data, bytes) else data
+        value = json.loads(text, parse_int=_integer, parse_float=_float, parse_constant=_float)
+    except RecursionError:
+        raise ValueError(f"it nests deeper than {MAX_DEPTH}") from None
+    check_plain(value, has_surrogates="\\ud" in text.lower())
+    return value
+
+
+def check_plain(value: Any, has_surrogates: bool = True) -> None:
+    """Checks that lists and dictionaries nest no deeper than `MAX_DEPTH`, and that texts can be written.
+
+    Args:
+        value: What was read.
+        has_surrogates: Whether a text may hold half of a character, as JSON can spell it.
+
+    Raises:
+        ValueError: They do not.
+    """
+    level, depth = [value], 0
+    while level:
+        depth += 1
+        if depth > MAX_DEPTH + 1:
+            raise ValueError(f"it nests deeper than {MAX_DEPTH}")
+        inner: list[Any] = []
+        for item in level:
+            if isinstance(item, dict):
+                inner += item.values()
+                if has_surrogates:
+                    inner += item.keys()
+            elif isinstance(item, list):
+                inner += item
+            elif has_surrogates and isinstance(item, str):
+                item.encode()  # UnicodeEncodeError is a ValueError
+        level = [item for item in inner if isinstance(item, dict | list) or (has_surrogates and isinstance(item, str))]
+
+
+def is_number(value: Any) -> bool:
+    """Returns whether a value that was read is a number, finite as all are that `parse_json` reads."""
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _integer(text: str) -> int:
+    if len(text) > MAX_DIGITS:
+        raise ValueError(f"an integer has more than {MAX_DIGITS} digits")
+    return int(text)
+
+
+def _float(text: str) -> float:
+    number = float(text)
+    if not math.isfinite(number):
+        raise ValueError(f"the number {text[:20]} is not finite")
+    return number
+
+
 def read_json(path: str | Path) -> Any:
     """Reads a JSON file.
 
     Raises:
-        RunError: The file is missing or is not JSON.
+        RunError: The file is missing, is not JSON, or see `parse_json`.
     """
+    data = read_bytes(path, MAX_JSON_BYTES)
     try:
-        return json.loads(read_bytes(path))
-    except (ValueError, RecursionError) as error:
+        return parse_json(data)
+    except ValueError as error:
         raise RunError(f"{path} is not valid JSON: {error}") from None
 
 
@@ -209,18 +308,71 @@ def write_npz(path: str | Path, arrays: Mapping[str, Any]) -> None:
     write_bytes(path, buffer.getvalue())
 
 
-def read_npz(path: str | Path) -> dict[str, np.ndarray]:
-    """Reads the arrays of an npz file; pickled objects are refused.
+class ArrayHeader(NamedTuple):
+    """What an npz file says about one of its arrays before the array itself.
+
+    Attributes:
+        shape: Its shape.
+        dtype: Its type.
+    """
+
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any]
+
+    def __str__(self) -> str:
+        return f"{self.dtype}{list(self.shape)}"
+
+
+def read_npz(
+    path: str | Path, names: Iterable[str] | None = None, check: Callable[[dict[str, ArrayHeader]], None] | None = None
+) -> dict[str, np.ndarray]:
+    """Reads arrays of an npz file; pickled objects are refused.
+
+    Args:
+        path: The file.
+        names: The arrays that are wanted, those that there are; all by default. No other one is loaded.
+        check: Called with the headers of these arrays before any of them takes memory.
 
     Raises:
-        RunError: The file is missing or damaged.
+        RunError: The file is missing or damaged, or the arrays take more memory than `MAX_ARRAY_BYTES`.
     """
     data = read_bytes(path)
     try:
-        with np.load(io.BytesIO(data), allow_pickle=False) as file:
-            return dict(file)
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            members = {name.removesuffix(".npy"): name for name in archive.namelist() if name.endswith(".npy")}
+            wanted = members.keys() if names is None else [name for name in names if name in members]
+            headers = {}
+            for name in wanted:
+                info = archive.getinfo(members[name])
+                if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+                    raise ValueError(f"{name} is compressed in an unknown way")
+                with archive.open(info) as file:
+                    headers[name] = _array_header(file, info.file_size)
+            if sum(math.prod(shape) * dtype.itemsize for shape, dtype in headers.values()) > MAX_ARRAY_BYTES:
+                raise ValueError(f"its arrays take more than {MAX_ARRAY_BYTES >> 30} GiB of memory")
+            if check is not None:
+                check(headers)
+            arrays = {}
+            for name in headers:
+                with archive.open(members[name]) as file:
+                    arrays[name] = np.lib.format.read_array(file, allow_pickle=False)
+            return arrays
+    except RunError:
+        raise
     except Exception as error:  # zipfile, zlib and numpy each have errors of their own for a damaged file
-        raise RunError(f"{path} is not a valid npz file: {error}") from None
+        raise RunError(f"{path} is not a valid npz file: {one_line(str(error), 100)}") from None
+
+
+def _array_header(file: Any, size: int) -> ArrayHeader:
+    """Reads the header of an array in a file of a size, which must be that of the array."""
+    version = np.lib.format.read_magic(file)
+    read = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}[version]
+    shape, _, dtype = read(file)
+    if dtype.hasobject:
+        raise ValueError("it holds Python objects")
+    if any(length < 0 for length in shape) or file.tell() + math.prod(shape) * dtype.itemsize != size:
+        raise ValueError(f"an array is of another size than its shape {list(shape)} says")
+    return ArrayHeader(shape, dtype)
 
 
 # Rows: one JSON object a line
@@ -233,8 +385,8 @@ def append_rows(path: str | Path, rows: Iterable[Mapping[str, Any]]) -> None:
         RunError: The file cannot be written.
     """
     data = "".join(to_json(row) + "\n" for row in rows).encode()
-    with os_errors_as_run_errors(f"cannot write {path}"), Path(path).open("ab", buffering=0) as file:
-        size = file.tell()
+    with os_errors_as_run_errors(f"cannot write {path}"), untrusted.append(path) as file:
+        size = file.seek(0, os.SEEK_END)
         try:
             while data:  # an unbuffered write may take only part of the data
                 data = data[file.write(data) :]
@@ -258,17 +410,13 @@ def read_rows(path: str | Path, offset: int = 0) -> tuple[list[dict[str, Any]], 
         RunError: A line is not a JSON object, or the file cannot be read.
     """
     rows: list[dict[str, Any]] = []
-    if not Path(path).exists():
-        return rows, offset
-    with os_errors_as_run_errors(f"cannot read {path}"), Path(path).open("rb") as file:
-        file.seek(offset)
-        lines = file.readlines()
+    lines = _lines(path, offset)
     for number, line in enumerate(lines, 1):
         if not line.endswith(b"\n"):  # the process was killed here
             break
         try:
-            row = json.loads(line)
-        except (ValueError, RecursionError):
+            row = parse_json(line)
+        except ValueError:
             row = None
         if not isinstance(row, dict):
             behind = f" behind byte {offset}" if offset else ""
@@ -277,20 +425,39 @@ def read_rows(path: str | Path, offset: int = 0) -> tuple[list[dict[str, Any]], 
     return rows, offset + sum(map(len, lines[: len(rows)]))
 
 
+def read_last_rows(path: str | Path, max_bytes: int) -> list[dict[str, Any]]:
+    """Reads the rows in the last bytes of a file of `append_rows`; what is no row, or only a part of one, is left out.
+
+    Raises:
+        RunError: The file is missing or cannot be read.
+    """
+    with os_errors_as_run_errors(f"cannot read {path}"):
+        data = untrusted.read_end(path, max_bytes)
+    rows = []
+    for line in data.split(b"\n"):
+        with contextlib.suppress(ValueError):
+            rows.append(parse_json(line))
+    return [row for row in rows if isinstance(row, dict)]
+
+
 def truncate_rows(path: str | Path, count: int) -> None:
     """Cuts a file of `append_rows` back to its first rows; a missing file has none.
 
     Raises:
         RunError: The file has fewer rows, or cannot be written.
     """
-    path = Path(path)
-    with os_errors_as_run_errors(f"cannot read {path}"):
-        lines = path.read_bytes().splitlines(keepends=True) if path.exists() else []
+    lines = _lines(path)
     complete = [line for line in lines[:count] if line.endswith(b"\n")]
     if len(complete) < count:
         raise RunError(f"{path} has {len(complete)} rows, but the checkpoint was saved after {count}")
     if len(lines) > count:
         write_bytes(path, b"".join(complete))
+
+
+def _lines(path: str | Path, offset: int = 0) -> list[bytes]:
+    if not os.path.lexists(path):
+        return []
+    return io.BytesIO(read_bytes(path, MAX_ROWS_BYTES)[offset:]).readlines()
 
 
 # Trees of arrays, as policies and training states are: safetensors files, bit for bit
@@ -328,11 +495,7 @@ def read_tree(path: str | Path, template: T, renamed: Mapping[str, str] | None =
     Raises:
         RunError: The file is missing or damaged, or its names, shapes or types are not those of the template.
     """
-    data = read_bytes(path)
-    try:
-        arrays = safetensors.numpy.load(data)
-    except (safetensors.SafetensorError, KeyError, ValueError) as error:
-        raise RunError(f"{path} is not a valid safetensors file: {error}") from None
+    arrays = _read_safetensors(path)[0]
     if renamed:
         known = {name for name, _ in _named_leaves(template)}
         new_names = {name: "/".join(renamed.get(part, part) for part in name.split("/")) for name in arrays}
@@ -360,11 +523,19 @@ def read_notes(path: str | Path) -> Any:
     Raises:
         RunError: The file is missing or damaged.
     """
+    return _read_safetensors(path)[1]
+
+
+def _read_safetensors(path: str | Path) -> tuple[dict[str, np.ndarray], Any]:
+    """Returns the arrays of a file, and its notes."""
+    data = read_bytes(path)
     try:
-        with os_errors_as_run_errors(f"cannot read {path}"), safetensors.safe_open(path, framework="numpy") as file:
-            return json.loads((file.metadata() or {}).get("notes", "null"))
-    except (safetensors.SafetensorError, ValueError) as error:
-        raise RunError(f"{path} is not a valid safetensors file: {error}") from None
+        arrays = safetensors.numpy.load(data)
+        # A file that could be loaded begins with the length of its header.
+        header = parse_json(data[8 : 8 + int.from_bytes(data[:8], "little")])
+        return arrays, parse_json(header.get("__metadata__", {}).get("notes", "null"))
+    except Exception as error:  # the package has errors of its own, and lets those of NumPy pass
+        raise RunError(f"{path} is not a valid safetensors file: {one_line(str(error), 100)}") from None
 
 
 def _fit(arrays: Mapping[str, np.ndarray], template: T, source: str) -> T:
@@ -404,13 +575,6 @@ def _named_leaves(tree: Any) -> list[tuple[str, Any]]:
 
 def _is_array(leaf: Any) -> bool:
     return isinstance(leaf, jax.Array | np.ndarray | jax.ShapeDtypeStruct)
-
-
-def _write_synced(path: Path, data: bytes) -> None:
-    with path.open("wb") as file:
-        file.write(data)
-        file.flush()
-        os.fsync(file.fileno())
 
 
 def _plain(value: Any) -> Any:

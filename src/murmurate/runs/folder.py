@@ -12,16 +12,18 @@
     figures/             what has been drawn
     checkpoint/          while the run is being trained
 
-Every file is replaced whole, and no file is ever executed: a run from a stranger is safe to open.
+Every file is replaced whole, and no file is ever executed: a run from a stranger is safe to open. Links are not
+followed, and the manifest has the checksums of all files, whose names are a fixed set.
 """
 
 from __future__ import annotations
 
 import contextlib
 import errno
+import math
 import os
 import shutil
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -31,8 +33,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from murmurate import untrusted
 from murmurate.discovery import Search, Snapshot, policy_name, policy_templates
-from murmurate.errors import RunError
+from murmurate.errors import MAX_INTEGER, RunError, shown
 from murmurate.runs import experiment as configuration
 from murmurate.runs import files
 from murmurate.runs.experiment import EXPERIMENT, STARTS, ExperimentConfig
@@ -43,16 +46,30 @@ try:
 except ImportError:  # not a POSIX system: runs are not locked
     fcntl = None
 
-__all__ = ["Checkpoint", "FolderState", "RunFolder", "describe_starts", "is_fresh"]
+__all__ = ["MAX_EPISODES", "Checkpoint", "FolderState", "RunFolder", "describe_starts", "is_fresh", "trained_checksums"]
 
-FORMAT = 1
+FORMAT, OLD_FORMAT = 2, 1
+"""The format of manifests, and that of version 0.1.0, whose checksums are of the training's files alone."""
+
+MAX_EPISODES = 10_000
+"""Episodes of one evaluation, at most: all of their positions are held in memory."""
+
+MAX_POLICIES = 1000
+"""Policies in a list, at most."""
+
 MANIFEST = "manifest.json"
 METRICS = "metrics.jsonl"
 EVALUATION = "evaluation.json"
 TRAJECTORIES = "trajectories.npz"
 RECORD = "record.json"
 CHECKPOINT = "checkpoint"
+SNAPSHOT, INITIAL = "snapshot.safetensors", "initial.safetensors"
 LOCK = ".training.lock"
+
+TAIL_BYTES = 1 << 14
+"""Bytes at the end of metrics.jsonl that `last_metrics` reads."""
+
+_EVALUATED = (EVALUATION, TRAJECTORIES, RECORD)
 
 FolderState = Literal["new", "unfinished", "finished"]
 """What a folder holds: nothing yet, a run whose training can be continued, or a finished run."""
@@ -114,8 +131,16 @@ class RunFolder:
 
     @property
     def figures(self) -> Path:
-        """The folder of the run's figures; it need not exist."""
-        return self.path / "figures"
+        """The folder of the run's figures; it need not exist.
+
+        Raises:
+            RunError: It is a link.
+        """
+        return self._inside("figures")
+
+    def _inside(self, name: str) -> Path:
+        """Returns the path of one of the run's files or folders, which is no link."""
+        return files.inside(self.path, name)
 
     @property
     def evaluation_files(self) -> tuple[Path, Path]:
@@ -165,17 +190,19 @@ class RunFolder:
         Raises:
             RunError: Another process trains in it.
         """
-        path = self.path / LOCK
+        path = self._inside(LOCK)
         with contextlib.ExitStack() as stack:
             while True:
                 with files.os_errors_as_run_errors(f"cannot write {path}"):
-                    file = stack.enter_context(path.open("ab"))
+                    file = stack.enter_context(untrusted.append(path))
                 if not _acquire(file):
                     raise RunError(f"{self.path} is in use: another process trains this run")
                 # The process that held the lock may have removed the file in the meantime: then it locks nothing.
                 with contextlib.suppress(OSError):
                     if os.path.samestat(os.fstat(file.fileno()), path.stat()):
                         break
+            for name in (".", "policies", CHECKPOINT):  # of a process that was killed here
+                files.remove_partial(self._inside(name))
             try:
                 yield
             finally:
@@ -216,21 +243,31 @@ class RunFolder:
         Raises:
             RunError: The folder holds no finished run, or one of a format that this version does not know.
         """
-        path = self.path / MANIFEST
-        if not path.is_file():
-            if (self.path / EXPERIMENT).is_file():
+        path = self._inside(MANIFEST)
+        if not path.exists():
+            if self._inside(EXPERIMENT).is_file():
                 raise RunError(f"{self.path} holds an unfinished run: finish it with murmurate discover --resume")
             raise RunError(f"{self.path} holds no run: it has no {MANIFEST}")
         manifest = files.read_json(path)
         version = manifest.get("format") if isinstance(manifest, dict) else None
-        if version != FORMAT:
-            raise RunError(f"{path} has format {version!r}; this version of murmurate reads format {FORMAT}")
+        if version not in (FORMAT, OLD_FORMAT) or isinstance(version, bool):
+            known = f"this version of murmurate reads formats {OLD_FORMAT} and {FORMAT}"
+            raise RunError(f"{path} has format {shown(version)}; {known}")
         manifest.setdefault("valid_pattern", manifest.get("outcome") == _OUTCOME)
         names, sums = manifest.get("policies"), manifest.get("checksums")
+        if not isinstance(names, list) or not 1 <= len(names) <= MAX_POLICIES:
+            raise RunError(f"{path} does not list the policies")
+        if names != [policy_name(index) for index in range(len(names))]:
+            raise RunError(f"{path} has policies = {shown(names)}, which are not those of a run")
         if not isinstance(sums, dict) or not all(isinstance(value, str) for value in sums.values()):
             raise RunError(f"{path} has no checksums")
-        if not isinstance(names, list) or not names or not {EXPERIMENT, *_policy_files(len(names))} <= sums.keys():
+        if not {EXPERIMENT, *_policy_files(len(names))} <= sums.keys():
             raise RunError(f"{path} does not list every policy with its checksum")
+        for name, (check, what) in _MANIFEST_FIELDS.items():
+            if name in manifest and not check(manifest[name]):
+                raise RunError(f"{path} has {name} = {shown(manifest[name])}, which {what}")
+        for name in sums.keys() - {*_trained_files(len(names)), METRICS, *_EVALUATED}:
+            raise RunError(f"{path} has a checksum of {shown(name)}, which is no file of a run")
         return manifest
 
     def write_manifest(self, manifest: Mapping[str, Any], policies: int) -> dict[str, Any]:
@@ -243,20 +280,21 @@ class RunFolder:
         Returns:
             Its contents, as `manifest` returns them.
         """
-        names = [EXPERIMENT, *_policy_files(policies)]
-        if (self.path / STARTS).is_file():
-            names.insert(1, STARTS)
+        names = [name for name in (*_trained_files(policies), METRICS, *_EVALUATED) if self._inside(name).exists()]
         contents = {
-            "format": FORMAT,
             **manifest,
+            "format": FORMAT,
             "policies": [policy_name(index) for index in range(policies)],
             "checksums": {name: files.checksum(self.path / name) for name in names},
         }
-        files.write_json(self.path / MANIFEST, contents)
+        files.write_json(self._inside(MANIFEST), contents)
         return self.manifest()
 
     def verify(self) -> dict[str, Any]:
-        """Checks the files of a finished run by their checksums.
+        """Checks the configuration and the policies of a finished run by their checksums.
+
+        The files of its evaluation are checked when they are read: an evaluation that was interrupted can be made
+        again.
 
         Returns:
             The manifest.
@@ -265,12 +303,48 @@ class RunFolder:
             RunError: The run is not finished, a file is missing or changed, or the manifest is damaged.
         """
         manifest = self.manifest()
-        for name, recorded in manifest["checksums"].items():
-            if "\0" in name or Path(name).is_absolute() or ".." in Path(name).parts:
-                raise RunError(f"{self.path / MANIFEST} names a file outside the run: {name}")
-            if files.checksum(self.path / name) != recorded:
-                raise RunError(f"{self.path / name} does not match its checksum in {MANIFEST}")
+        for name in trained_checksums(manifest):
+            self._check(name, manifest)
+        if STARTS not in manifest["checksums"] and os.path.lexists(self.path / STARTS):
+            raise RunError(f"{self.path / STARTS} has no checksum in {MANIFEST}")
         return manifest
+
+    def is_whole(self) -> bool:
+        """Returns whether every file of a finished run is there and as it was written."""
+        try:
+            manifest = self.verify()
+            for name in manifest["checksums"]:
+                self._check(name, manifest)
+            self.evaluation()
+        except RunError:
+            return False
+        return True
+
+    def unfinish(self) -> None:
+        """Removes the manifest, which marks the run as finished: its training begins anew.
+
+        Raises:
+            RunError: It cannot be removed.
+        """
+        with files.os_errors_as_run_errors(f"cannot write to {self.path}"):
+            (self.path / MANIFEST).unlink(missing_ok=True)
+
+    def _check(self, name: str, manifest: Mapping[str, Any], remedy: str = "") -> None:
+        """Checks a file by its checksum; version 0.1.0 wrote none of evaluations and metrics."""
+        recorded = manifest["checksums"].get(name)
+        if recorded is None and manifest["format"] == OLD_FORMAT:
+            return
+        if files.checksum(self._inside(name)) != recorded:
+            raise RunError(f"{self.path / name} does not match its checksum in {MANIFEST}{remedy}")
+
+    def _check_evaluated(self, name: str) -> None:
+        """Checks a file of the evaluation of a run that is finished; before that it has no checksum."""
+        if os.path.lexists(self.path / MANIFEST):
+            self._check(name, self.manifest(), f": {self._remedy}")
+
+    @property
+    def _remedy(self) -> str:
+        return f"make it again with murmurate evaluate {self.path}"
 
     # Policies and training
 
@@ -284,13 +358,13 @@ class RunFolder:
             RunError: A file is missing or damaged, or holds other arrays than its template.
         """
         names = _policy_files(len(templates))
-        return tuple(files.read_tree(self.path / name, like) for name, like in zip(names, templates, strict=True))
+        return tuple(files.read_tree(self._inside(name), like) for name, like in zip(names, templates, strict=True))
 
     def write_policies(self, policies: Sequence[Any]) -> None:
         """Writes the policies of the list."""
-        files.make_folder(self.path / "policies")
+        files.make_folder(self._inside("policies"))
         for name, policy in zip(_policy_files(len(policies)), policies, strict=True):
-            files.write_tree(self.path / name, policy)
+            files.write_tree(self._inside(name), policy)
 
     def checkpoint(self, search: Search) -> Checkpoint:
         """Reads the checkpoint; without one, returns the beginning of the search.
@@ -298,22 +372,22 @@ class RunFolder:
         Raises:
             RunError: It is damaged, or not of this experiment.
         """
-        path = self.path / CHECKPOINT / "snapshot.safetensors"
+        path = self._inside(f"{CHECKPOINT}/{SNAPSHOT}")
         if not path.exists():
             return Checkpoint(search.begin())
-        notes = files.read_notes(path)
-        try:
-            policies = policy_templates(search.problem, notes["policies"])
-            sigma = jax.ShapeDtypeStruct((notes["sigma"], search.problem.world.robots, 2), jnp.float32)
-            template = {"policies": policies, "sigma": sigma, "train": None}
-            valid, finished, training = float(notes["valid"]), bool(notes["finished"]), bool(notes["training"])
-            rows, seconds = int(notes["rows"]), float(notes["seconds"])
-        except (KeyError, TypeError, ValueError) as error:
-            raise RunError(f"{path} is not a checkpoint of this version of murmurate: {error!r}") from None
+        notes = _Notes(path)
+        count = notes.integer("policies", MAX_POLICIES)
+        valid, seconds = notes.number("valid", 1), notes.number("seconds", math.inf)
+        finished, training = notes.flag("finished"), notes.flag("training")
+        shape = (notes.integer("sigma", MAX_INTEGER), search.problem.world.robots, 2)
+        policies = policy_templates(search.problem, count)
+        sigma = jax.ShapeDtypeStruct(shape, jnp.float32)
+        template = {"policies": policies, "sigma": sigma, "train": None}
         if training:
             template["train"] = eqx.filter_eval_shape(_training_state, search, policies, sigma)
         tree = files.read_tree(path, template, _RENAMED)
-        return Checkpoint(Snapshot(tree["policies"], tree["sigma"], valid, tree["train"], finished), rows, seconds)
+        snapshot = Snapshot(tree["policies"], tree["sigma"], valid, tree["train"], finished)
+        return Checkpoint(snapshot, notes.integer("rows", MAX_INTEGER), seconds)
 
     def checkpoint_rows(self) -> int:
         """Returns how many rows of metrics the checkpoint was saved after; 0 without a checkpoint.
@@ -321,12 +395,8 @@ class RunFolder:
         Raises:
             RunError: It is damaged.
         """
-        path = self.path / CHECKPOINT / "snapshot.safetensors"
-        notes = files.read_notes(path) if path.exists() else {"rows": 0}
-        rows = notes.get("rows") if isinstance(notes, dict) else None
-        if not isinstance(rows, int):
-            raise RunError(f"{path} is not a checkpoint of this version of murmurate")
-        return rows
+        path = self._inside(f"{CHECKPOINT}/{SNAPSHOT}")
+        return _Notes(path).integer("rows", MAX_INTEGER) if path.exists() else 0
 
     def write_checkpoint(self, checkpoint: Checkpoint) -> None:
         """Writes a checkpoint in place of the one before."""
@@ -341,8 +411,8 @@ class RunFolder:
             "seconds": checkpoint.seconds,
         }
         tree = {"policies": snapshot.policies, "sigma": snapshot.sigma, "train": snapshot.train}
-        files.make_folder(self.path / CHECKPOINT)
-        files.write_tree(self.path / CHECKPOINT / "snapshot.safetensors", tree, notes)
+        files.make_folder(self._inside(CHECKPOINT))
+        files.write_tree(self._inside(f"{CHECKPOINT}/{SNAPSHOT}"), tree, notes)
 
     def initial(self, config: ExperimentConfig) -> tuple[tuple[Any, ...], dict[str, Any] | None]:
         """Reads the policies that the training began with, from its beginning to its end.
@@ -356,19 +426,20 @@ class RunFolder:
         Raises:
             RunError: They are damaged.
         """
-        path = self.path / CHECKPOINT / "initial.safetensors"
+        path = self._inside(f"{CHECKPOINT}/{INITIAL}")
         if not path.exists():
             return (), None
-        notes = files.read_notes(path)
-        if not isinstance(notes, dict) or not isinstance(notes.get("policies"), int):
-            raise RunError(f"{path} is not of this version of murmurate")
-        return files.read_tree(path, policy_templates(config, notes["policies"])), notes.get("origin")
+        notes = _Notes(path)
+        count, origin = notes.integer("policies", MAX_POLICIES), notes.values.get("origin")
+        if origin is not None and not isinstance(origin, dict):
+            raise RunError(f"{path} has origin = {shown(origin)}, which is no run")
+        return files.read_tree(path, policy_templates(config, count)), origin
 
     def write_initial(self, policies: Sequence[Any], origin: Mapping[str, Any] | None) -> None:
         """Writes the policies that the training begins with, so that it can be resumed without their run."""
-        files.make_folder(self.path / CHECKPOINT)
+        files.make_folder(self._inside(CHECKPOINT))
         notes = {"policies": len(policies), "origin": origin}
-        files.write_tree(self.path / CHECKPOINT / "initial.safetensors", tuple(policies), notes)
+        files.write_tree(self._inside(f"{CHECKPOINT}/{INITIAL}"), tuple(policies), notes)
 
     def remove_checkpoint(self) -> None:
         """Removes what only an unfinished run needs."""
@@ -380,6 +451,8 @@ class RunFolder:
         Raises:
             RunError: The file is damaged.
         """
+        if os.path.lexists(self.path / MANIFEST) and os.path.lexists(self.path / METRICS):
+            self._check(METRICS, self.manifest())
         return self.new_metrics(0)[0]
 
     def new_metrics(self, offset: int) -> tuple[list[dict[str, Any]], int]:
@@ -391,22 +464,27 @@ class RunFolder:
         Raises:
             RunError: The file is damaged.
         """
-        path = self.path / METRICS
+        path = self._inside(METRICS)
         rows, end = files.read_rows(path, offset)
         for number, row in enumerate(rows, 1):
-            signals = row.get("signals")
-            numbers = [row.get("policy"), row.get("update"), row.get("environment_steps")]
-            if not all(_is_number(value) for value in numbers) or not isinstance(signals, dict):
+            if not _is_metrics(row) or row["signals"].keys() != rows[0]["signals"].keys():
                 raise RunError(f"{path} is damaged: line {number} is not a row of metrics")
         return rows, end
 
+    def last_metrics(self) -> list[dict[str, Any]]:
+        """Returns the last rows of metrics that are whole, some tens; none where they cannot be read at this moment."""
+        with contextlib.suppress(RunError):
+            rows = files.read_last_rows(self._inside(METRICS), TAIL_BYTES)
+            return [row for row in rows if _is_metrics(row) and row.keys() >= {"reward", "steps_per_second"}]
+        return []
+
     def append_metrics(self, rows: Iterable[Mapping[str, Any]]) -> None:
         """Appends rows of metrics, all of them or none."""
-        files.append_rows(self.path / METRICS, rows)
+        files.append_rows(self._inside(METRICS), rows)
 
     def truncate_metrics(self, rows: int) -> None:
         """Cuts the metrics back to their first rows, those before a checkpoint."""
-        files.truncate_rows(self.path / METRICS, rows)
+        files.truncate_rows(self._inside(METRICS), rows)
 
     # Evaluation
 
@@ -420,8 +498,8 @@ class RunFolder:
         Raises:
             RunError: It is missing or incomplete.
         """
-        path = self.path / EVALUATION
-        summary, remedy = files.read_json_object(path), f"make it again with murmurate evaluate {self.path}"
+        path, remedy = self._inside(EVALUATION), self._remedy
+        summary = files.read_json_object(path)
         if "collision_free" in summary:  # version 0.1.0 counted contact and leaving the world together
             summary |= {"contact_free": summary["collision_free"], "inside": summary["collision_free"]}
         if isinstance(summary.get("starts"), str):
@@ -431,25 +509,24 @@ class RunFolder:
         missing = [name for name in needed if name not in summary]
         if missing:
             raise RunError(f"{path} lacks {missing[0]}: {remedy}")
-        interval, starts = summary["valid_interval"], summary["starts"]
-        numbers = {name: summary[name] for name in (*_FRACTIONS, *_STEPS)} | _as_numbers(summary["signal"], "signal")
-        numbers |= _as_numbers(interval if isinstance(interval, list) and len(interval) == 2 else "", "valid_interval")
-        for name, value in numbers.items():
-            if value is not None and not _is_number(value):
-                raise RunError(f"{path} has {name} = {value!r}, which is not a number: {remedy}")
-        episodes, failures = summary["episodes"], summary["failures"]
-        if not isinstance(episodes, int) or episodes < 1:
-            raise RunError(f"{path} has episodes = {episodes!r}, which is not a number of episodes: {remedy}")
-        if not isinstance(failures, list) or not all(isinstance(index, int) for index in failures):
-            raise RunError(f"{path} has failures = {failures!r}, which are not episodes: {remedy}")
-        if not isinstance(starts, dict) or starts.get("kind") not in ("fresh", "file", "given"):
-            raise RunError(f"{path} has starts = {starts!r}, which is unknown: {remedy}")
+        for name, (check, what) in _EVALUATION_FIELDS.items():
+            if name in summary and not check(summary[name]):
+                raise RunError(f"{path} has {name} = {shown(summary[name])}, which {what}: {remedy}")
+        failures, episodes = summary["failures"], summary["episodes"]
+        if any(not 0 <= index < episodes for index in failures) or len(set(failures)) < len(failures):
+            raise RunError(
+                f"{path} has failures = {shown(failures)}, which are not of its {episodes} episodes: {remedy}"
+            )
+        self._check_evaluated(EVALUATION)
         for name in (*_FRACTIONS, *_STEPS):
             summary[name] = float("nan") if summary[name] is None else float(summary[name])
         return summary
 
-    def trajectories(self) -> Trajectories:
+    def trajectories(self, config: ExperimentConfig | None = None) -> Trajectories:
         """Reads the episodes of the evaluation.
+
+        Args:
+            config: The run's configuration, which they must be of.
 
         Returns:
             The episodes. Version 0.1.0 did not record `terminated` and `epochs`: there they are false, and the lengths.
@@ -457,50 +534,46 @@ class RunFolder:
         Raises:
             RunError: They are missing, damaged, not of this experiment, or not finite.
         """
-        path = self.path / TRAJECTORIES
-        arrays = files.read_npz(path)
-        required = ("positions", "lengths", "switch", "signals", "signal_names", "at_rest")
-        for name in required:
-            if name not in arrays:
-                raise RunError(f"{path} lacks {name}")
-        positions, names = arrays["positions"], arrays["signal_names"]
-        if positions.ndim != 4 or positions.shape[3] != 2 or 0 in positions.shape or positions.dtype.kind != "f":
-            shape = f"{positions.dtype}{list(positions.shape)}"
-            raise RunError(f"{path} has positions as {shape}, not as float32[episodes, steps + 1, robots, 2]")
-        episodes, configurations = positions.shape[:2]
-        switches = arrays["switch"].shape[-1] if arrays["switch"].ndim else 0
-        expected = {
-            "lengths": ("iu", (episodes,)),
-            "switch": ("iu", (episodes, switches)),
-            "at_rest": ("b", (episodes,)),
-            "signal_names": ("U", (len(names) if names.ndim else 0,)),
-            "signals": ("f", (episodes, configurations, len(names) if names.ndim else 0)),
-            "terminated": ("b", (episodes,)),
-            "epochs": ("iu", (episodes,)),
-        }
-        for name, (kinds, shape) in expected.items():
-            if name in arrays and (arrays[name].shape != shape or arrays[name].dtype.kind not in kinds):
-                have = f"{arrays[name].dtype}{list(arrays[name].shape)}"
-                raise RunError(f"{path} has {name} as {have}, which does not fit positions of {list(positions.shape)}")
+        path = self._inside(TRAJECTORIES)
+        robots, episodes = None, None
+        if self._inside(EVALUATION).exists():
+            summary = self.evaluation()
+            robots, episodes = summary.get("robots"), summary["episodes"]
+
+        def check(headers: dict[str, files.ArrayHeader]) -> None:
+            _check_headers(path, headers, episodes, robots)
+
+        arrays = files.read_npz(path, (*_REQUIRED, "terminated", "epochs"), check)
+        self._check_evaluated(TRAJECTORIES)
+        positions, names = arrays["positions"], [str(name) for name in arrays["signal_names"]]
+        if config is not None and (names, positions.shape[2]) != (list(config.signal_names), config.world.robots):
+            what = f"{positions.shape[2]} robots and the signals {', '.join(names)}"
+            raise RunError(f"{path} is not of this experiment: it has {what}")
         lengths, signals = arrays["lengths"].astype(int), arrays["signals"]
-        if lengths.min() < 0 or lengths.max() >= configurations:
-            raise RunError(f"{path} has lengths that are not from 0 to {configurations - 1}")
+        if lengths.min() < 0 or lengths.max() >= positions.shape[1]:
+            raise RunError(f"{path} has lengths that are not from 0 to {positions.shape[1] - 1}")
         if not (np.isfinite(positions).all() and np.isfinite(signals).all()):
             raise RunError(f"{path} has positions or signals that are not finite: the training diverged")
+        if len(set(names)) < len(names):
+            raise RunError(f"{path} has signal_names = {shown(names)}, which are not different from each other")
         return Trajectories(
             positions=positions,
             lengths=lengths,
             switch=arrays["switch"].astype(int),
             at_rest=arrays["at_rest"],
-            terminated=arrays.get("terminated", np.zeros(episodes, bool)),
+            terminated=arrays.get("terminated", np.zeros(len(lengths), bool)),
             epochs=arrays.get("epochs", lengths).astype(int),
-            signals={str(name): signals[..., index] for index, name in enumerate(names)},
+            signals={name: signals[..., index] for index, name in enumerate(names)},
         )
 
     def record(self) -> dict[str, Any] | None:
         """Reads the pattern that is better than the best known one, as an entry of that table; None without one."""
-        path = self.path / RECORD
-        return files.read_json_object(path) if path.is_file() else None
+        path = self._inside(RECORD)
+        if not path.exists():
+            return None
+        record = files.read_json_object(path)
+        self._check_evaluated(RECORD)
+        return record
 
     def write_evaluation(
         self, summary: Mapping[str, Any], arrays: Mapping[str, Any], record: Mapping[str, Any] | None = None
@@ -513,12 +586,16 @@ class RunFolder:
             record: A pattern better than the best known one, if there is one.
         """
         if record is not None:
-            files.write_json(self.path / RECORD, record)
+            files.write_json(self._inside(RECORD), record)
         else:
             with files.os_errors_as_run_errors(f"cannot write to {self.path}"):
                 (self.path / RECORD).unlink(missing_ok=True)
-        files.write_npz(self.path / TRAJECTORIES, arrays)
-        files.write_json(self.path / EVALUATION, summary)
+        files.write_npz(self._inside(TRAJECTORIES), arrays)
+        files.write_json(self._inside(EVALUATION), summary)
+        if self._inside(MANIFEST).exists():
+            # Until here the new files do not match the manifest, and whoever reads them is told to evaluate again.
+            manifest = self.manifest()
+            self.write_manifest(manifest, len(manifest["policies"]))
 
     def copy_to(self, folder: str | os.PathLike[str]) -> RunFolder:
         """Copies a finished run without its evaluation and figures.
@@ -528,13 +605,50 @@ class RunFolder:
         """
         manifest, copy = self.verify(), RunFolder(folder)
         copy.create()
-        # The manifest last: it marks the copy as complete.
-        for name in (*manifest["checksums"], METRICS, MANIFEST):
-            source, target = self.path / name, copy.path / name
-            if source.is_file():
+        for name in (*trained_checksums(manifest), METRICS):
+            source, target = self._inside(name), copy._inside(name)
+            if source.exists():
                 files.make_folder(target.parent)
                 files.write_bytes(target, files.read_bytes(source))
+        # The manifest last: it marks the copy as complete.
+        copy.write_manifest(manifest, len(manifest["policies"]))
         return copy
+
+
+_REQUIRED = ("positions", "lengths", "switch", "signals", "signal_names", "at_rest")
+
+
+def _check_headers(path: Path, headers: dict[str, files.ArrayHeader], episodes: int | None, robots: Any) -> None:
+    """Checks that the arrays of an evaluation fit together, before any of them takes memory.
+
+    Args:
+        path: The file, for messages.
+        headers: What they say of themselves.
+        episodes: The number of episodes of the evaluation beside them; None without one.
+        robots: Its swarm size, where it has one.
+    """
+    for name in _REQUIRED:
+        if name not in headers:
+            raise RunError(f"{path} lacks {name}")
+    shape, kind = headers["positions"].shape, headers["positions"].dtype.kind
+    if len(shape) != 4 or shape[3] != 2 or 0 in shape or kind != "f":
+        have = headers["positions"]
+        raise RunError(f"{path} has positions as {have}, not as float32[episodes, steps + 1, robots, 2]")
+    names, switch = headers["signal_names"].shape, headers["switch"].shape
+    expected = {
+        "lengths": ("iu", shape[:1]),
+        "switch": ("iu", (shape[0], switch[-1] if switch else 0)),
+        "at_rest": ("b", shape[:1]),
+        "signal_names": ("U", names[:1] or (0,)),
+        "signals": ("f", (*shape[:2], names[0] if names else 0)),
+        "terminated": ("b", shape[:1]),
+        "epochs": ("iu", shape[:1]),
+    }
+    for name, (kinds, wanted) in expected.items():
+        if name in headers and (headers[name].shape != wanted or headers[name].dtype.kind not in kinds):
+            raise RunError(f"{path} has {name} as {headers[name]}, which does not fit positions of {list(shape)}")
+    if shape[0] != (episodes or shape[0]) or shape[2] != (robots or shape[2]):
+        raise RunError(f"{path} is not of the evaluation beside it: its positions are {list(shape)}")
 
 
 def is_fresh(summary: Mapping[str, Any]) -> bool:
@@ -568,15 +682,137 @@ def _policy_files(count: int) -> list[str]:
     return [f"policies/{index}-{policy_name(index)}.safetensors" for index in range(count)]
 
 
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
+def _trained_files(count: int) -> list[str]:
+    """Returns the files that the training of `count` policies ends in; the starts are there only if they are a file."""
+    return [EXPERIMENT, STARTS, *_policy_files(count)]
 
 
-def _as_numbers(values: Any, name: str) -> dict[str, Any]:
-    """Returns the values of a list or a dictionary by the names that messages give them."""
-    if isinstance(values, list):
-        return {f"{name}[{index}]": value for index, value in enumerate(values)}
-    return {f"{name}.{key}": value for key, value in values.items()} if isinstance(values, dict) else {name: values}
+def trained_checksums(manifest: Mapping[str, Any]) -> dict[str, str]:
+    """Returns the checksums of the configuration and the policies, whatever these were evaluated on."""
+    sums = manifest["checksums"]
+    return {name: sums[name] for name in _trained_files(len(manifest["policies"])) if name in sums}
+
+
+def _is_metrics(row: Mapping[str, Any]) -> bool:
+    """Returns whether a row is one of metrics.jsonl; what was not finite is None there."""
+    counts, signals = [row.get("policy"), row.get("update"), row.get("environment_steps")], row.get("signals")
+    if None in counts or not all(map(_is_length, counts)) or not isinstance(signals, dict):
+        return False
+    values = [*signals.values(), *(row.get(name) for name in ("reward", "steps_per_second", "seconds"))]
+    return all(value is None or files.is_number(value) for value in values) and isinstance(row.get("name"), str)
+
+
+MAX_COUNT = 1e18
+"""Steps of a training, at most: a float counts them one by one."""
+
+
+class _Notes:
+    """The notes of a checkpoint.
+
+    Args:
+        path: The file.
+
+    Raises:
+        RunError: It has none, or, when one is asked for, that one is missing or out of bounds.
+    """
+
+    def __init__(self, path: Path) -> None:
+        notes = files.read_notes(path)
+        self._path, self.values = path, notes if isinstance(notes, dict) else {}
+
+    def integer(self, name: str, high: int) -> int:
+        """Returns a whole number from 0 to `high`."""
+        value = self.values.get(name)
+        return value if isinstance(value, int) and self.number(name, high) >= 0 else self._refuse(name)
+
+    def number(self, name: str, high: float) -> float:
+        """Returns a number from 0 to `high`."""
+        value: Any = self.values.get(name)
+        return value if files.is_number(value) and 0 <= value <= high else self._refuse(name)
+
+    def flag(self, name: str) -> bool:
+        """Returns true or false."""
+        value = self.values.get(name)
+        return value if isinstance(value, bool) else self._refuse(name)
+
+    def _refuse(self, name: str) -> Any:
+        has = f"{name} = {shown(self.values.get(name))}"
+        raise RunError(f"{self._path} is not a checkpoint of this version of murmurate: it has {has}")
+
+
+# What evaluation.json and manifest.json hold: what each field must be, and what to say of one that is not
+
+
+def _is_share(value: Any) -> bool:
+    return value is None or (files.is_number(value) and 0 <= value <= 1)
+
+
+def _is_length(value: Any) -> bool:
+    return value is None or (files.is_number(value) and 0 <= value <= MAX_COUNT)
+
+
+def _is_interval(value: Any) -> bool:
+    if not isinstance(value, list) or len(value) != 2 or not all(map(_is_share, value)):
+        return False
+    return None in value or value[0] <= value[1]
+
+
+def _is_count(value: Any, high: int, low: int = 1) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and low <= value <= high
+
+
+def _are_numbers(value: Any) -> bool:
+    numbers = value.values() if isinstance(value, dict) else [value]
+    return isinstance(value, dict) and all(number is None or files.is_number(number) for number in numbers)
+
+
+def _are_starts(value: Any) -> bool:
+    return (
+        isinstance(value, dict)
+        and value.get("kind") in ("fresh", "file", "given")
+        and isinstance(value.get("name", ""), str)
+        and ("name" in value) == (value["kind"] == "file")
+    )
+
+
+_EVALUATION_FIELDS: Mapping[str, tuple[Callable[[Any], bool], str]] = {
+    **dict.fromkeys(_FRACTIONS, (_is_share, "is not a share from 0 to 1")),
+    **dict.fromkeys((*_STEPS, "epochs"), (_is_length, "is not a number of steps")),
+    "episodes": (lambda value: _is_count(value, MAX_EPISODES), f"is not a number of episodes from 1 to {MAX_EPISODES}"),
+    "robots": (lambda value: _is_count(value, MAX_INTEGER), "is not a number of robots"),
+    "seed": (lambda value: _is_count(value, 2**32 - 1, 0), "is not a seed"),
+    "failures": (
+        lambda value: isinstance(value, list) and all(_is_count(index, MAX_INTEGER, 0) for index in value),
+        "are not episodes",
+    ),
+    "starts": (_are_starts, "is unknown"),
+    "valid_interval": (_is_interval, "is not an interval inside 0 to 1"),
+    "signal": (_are_numbers, "are not numbers by name"),
+    "thresholds": (lambda value: _are_numbers(value) and all(map(_is_share, value.values())), "are not shares by name"),
+    **dict.fromkeys(
+        ("efficiency", "best_known", "best_found", "gap"),
+        (lambda value: value is None or files.is_number(value), "is not a number"),
+    ),
+}
+
+
+_MANIFEST_FIELDS: Mapping[str, tuple[Callable[[Any], bool], str]] = {
+    **dict.fromkeys(
+        ("environment_steps", "train_seconds"),
+        (lambda value: value is not None and _is_length(value), "is not a number"),
+    ),
+    **dict.fromkeys(
+        ("murmurate", "platform", "cpu", "device", "experiment"), (lambda value: isinstance(value, str), "is not text")
+    ),
+    "seed": (lambda value: _is_count(value, 2**32 - 1, 0), "is not a seed"),
+    "robots": (lambda value: _is_count(value, MAX_INTEGER), "is not a number of robots"),
+    "valid_pattern": (lambda value: isinstance(value, bool), "is neither true nor false"),
+    "versions": (
+        lambda value: isinstance(value, dict) and all(isinstance(version, str) for version in value.values()),
+        "are not versions by name",
+    ),
+    "initial": (lambda value: isinstance(value, dict), "is not a run"),
+}
 
 
 def _training_state(search: Search, policies: tuple[Any, ...], sigma: jax.Array) -> Any:

@@ -194,7 +194,9 @@ class Grid:
         out = Path(out)
         if exclusive:
             self._check_alone(out)
-        states: dict[str, FolderState] = {name: RunFolder(out / name).inspect(resume) for name in self.runs}
+        states: dict[str, FolderState] = {
+            name: RunFolder(files.inside(out, name)).inspect(resume) for name in self.runs
+        }
         for name, config in self.runs.items():
             if states[name] != "new":
                 RunFolder(out / name).check_same(config)

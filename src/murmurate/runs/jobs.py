@@ -12,13 +12,10 @@ from typing import Any, Literal
 from murmurate.discovery import policy_name
 from murmurate.runs import files
 from murmurate.runs.experiment import ExperimentConfig
-from murmurate.runs.folder import METRICS, RunFolder
+from murmurate.runs.folder import RunFolder
 from murmurate.runs.grid import Grid
 
 __all__ = ["Job", "JobStatus", "Progress", "TrainingJob", "initial_statuses", "training_jobs"]
-
-TAIL_BYTES = 1 << 14
-"""Bytes at the end of metrics.jsonl that are read: some tens of rows."""
 
 
 @dataclass(frozen=True)
@@ -125,11 +122,14 @@ class TrainingJob(Job):
 
     def is_finished(self) -> bool:
         """See `Job`."""
-        return RunFolder(self.folder).inspect(resume=True) == "finished"
+        run = RunFolder(self.folder)
+        return run.inspect(resume=True) == "finished" and run.is_whole()
 
     def prepare(self) -> None:
         """See `Job`."""
         run = RunFolder(self.folder)
+        if run.inspect(resume=True) == "finished" and not run.is_whole():
+            run.unfinish()  # a damaged run is trained again
         if run.create(resume=True) == "new" and self.config is not None:
             run.write_experiment(self.config)
 
@@ -166,7 +166,7 @@ class TrainingJob(Job):
 
 def _training_progress(folder: Path, config: ExperimentConfig) -> Progress | None:
     """Reads from the metrics of a run how far it is; None while nothing is trained yet."""
-    rows = [row for row in map(_parse, _last_lines(folder / METRICS)) if row is not None]
+    rows = RunFolder(folder).last_metrics()
     if not rows:
         return None
     last, speed = rows[-1], rows[-1]["steps_per_second"]
@@ -178,25 +178,6 @@ def _training_progress(folder: Path, config: ExperimentConfig) -> Progress | Non
     if (folder / "policies").exists():
         stage = "evaluation"
     return Progress(stage, last["update"], updates, last["reward"], speed, left)
-
-
-def _last_lines(path: Path) -> list[bytes]:
-    try:
-        with path.open("rb") as file:
-            start = max(0, file.seek(0, 2) - TAIL_BYTES)
-            file.seek(start)
-            return file.read().split(b"\n")[1 if start else 0 :]
-    except OSError:
-        return []
-
-
-def _parse(line: bytes) -> dict[str, Any] | None:
-    """Reads one row; None for one that is being written at this moment."""
-    try:
-        row = json.loads(line)
-        return row if row.keys() >= {"policy", "update", "environment_steps", "reward", "steps_per_second"} else None
-    except (ValueError, AttributeError):
-        return None
 
 
 def training_jobs(grid: Grid, out: str | Path, on_metrics: Callable[[Path], None] | None = None) -> list[TrainingJob]:

@@ -9,7 +9,8 @@ from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
-from murmurate.errors import RunError
+from murmurate.errors import RunError, one_line
+from murmurate.runs import escape
 from murmurate.runs.jobs import Job, JobStatus
 
 __all__ = ["LiveTable"]
@@ -68,9 +69,9 @@ class LiveTable:
         ended = sum(each.state in ("done", "failed") for each in self._statuses.values())
         line = f"{ended} of {len(self._statuses)}: {name}: {text}"
         if self.is_live and status.state != "done":
-            self._console.print(line, markup=False, highlight=False)
+            self._console.print(escape.rich(line))
         elif not self.is_live and not self._quiet:
-            print(line, flush=True)
+            print(one_line(line), flush=True)
 
     def table(self, limit: int) -> Table:
         """Returns the table of at most so many jobs: those that run first, those that are done last."""
@@ -82,7 +83,7 @@ class LiveTable:
             table.add_column(column, justify="left" if column in ("job", "state") else "right", no_wrap=True)
         names = sorted(self._jobs, key=lambda name: ORDER.index(self._statuses[name].state))
         for name in names[: max(limit, 1)]:
-            table.add_row(name, *self._cells(name))
+            table.add_row(*map(escape.rich, (name, *self._cells(name))))
         if len(names) > limit:
             table.caption = f"and {len(names) - limit} more"
         return table

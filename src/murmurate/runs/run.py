@@ -13,17 +13,14 @@ import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from murmurate import prng
-from murmurate.discovery import Cascade, Trajectories, build_cascade, policy_templates
+from murmurate.discovery import Cascade, Trajectories, build_cascade, policy_templates, rollout
 from murmurate.errors import BeyondTrainingWarning, InputError, RunError, check_number
 from murmurate.runs import files
 from murmurate.runs.experiment import EXPERIMENT, ExperimentConfig, check_seed
-from murmurate.runs.folder import METRICS, RunFolder
-from murmurate.world import World, check_configurations, draw_starts
+from murmurate.runs.folder import MAX_EPISODES, METRICS, RunFolder
+from murmurate.world import World, check_configurations, check_pairs, draw_starts
 
 __all__ = ["MAX_EPISODES", "Run", "check_draw", "rollout_seed"]
-
-MAX_EPISODES = 10_000
-"""Episodes of one rollout, at most: all of their positions are held in memory."""
 
 PICTURE_EPISODES = 20
 """Episodes of which a picture shows the typical one."""
@@ -119,8 +116,9 @@ class Run:
         target.create()
         target.write_experiment(self.experiment)
         target.write_policies(self.cascade.policies)
-        if (self.folder / METRICS).is_file():
-            files.write_bytes(target.path / METRICS, files.read_bytes(self.folder / METRICS))
+        metrics = files.inside(self.folder, METRICS)
+        if metrics.exists():
+            files.write_bytes(target.path / METRICS, files.read_bytes(metrics))
         target.write_manifest({**self.manifest, "robots": self.experiment.world.robots}, len(self.cascade.policies))
         return target.path
 
@@ -136,6 +134,7 @@ class Run:
             InputError: The number of episodes is out of bounds, or the key is no seed.
         """
         check_draw(episodes, key)
+        check_pairs("episodes", int(episodes), self.experiment.world.robots)
         if isinstance(key, int | np.integer):
             key = jax.random.fold_in(prng.key(int(key)), _HELD_OUT)
         return draw_starts(self.world.start, key, int(episodes), self.world.config)
@@ -157,7 +156,7 @@ class Run:
                 seed.
         """
         if isinstance(starts, int | np.integer):
-            return self.cascade.rollout(self.starts(int(starts), key), rollout_seed(key))
+            return rollout(self.cascade, self.starts(int(starts), key), rollout_seed(key))
         shape = f"of shape (episodes, {self.experiment.world.robots}, 2)"
         try:
             points = np.asarray(starts, float)
@@ -168,7 +167,7 @@ class Run:
             raise InputError("starts", f"an array {points.shape}", shape)
         check_draw(len(points), key)
         check_configurations(points, self.experiment.world, "starts")
-        return self.cascade.rollout(points, rollout_seed(key))
+        return rollout(self.cascade, points, rollout_seed(key))
 
     def __repr__(self) -> str:
         experiment, count = self.experiment, len(self.cascade.policies)

@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from murmurate.errors import RunError, UsageError
-from murmurate.runs import config_io, files
+from murmurate.runs import config_io, escape, files
+from murmurate.runs.evaluate import evaluated
 from murmurate.runs.execute import Executor, LocalProcesses, locked, run_jobs
 from murmurate.runs.experiment import ExperimentConfig
 from murmurate.runs.folder import RunFolder
@@ -128,7 +129,7 @@ def _measured(folder: Path) -> Row:
         RunError: The folder is damaged.
     """
     run = RunFolder(folder)
-    manifest, summary = run.verify(), run.evaluation()
+    manifest, summary = run.verify(), evaluated(run, trust=True)
     policies, total = len(manifest["policies"]), summary["signal"].get("total")
     version = manifest.get("murmurate")
     return {**summary, **manifest, "policies": policies, "signal_total": total, "version": version}
@@ -145,11 +146,15 @@ def write_csv(path: Path, table: Sequence[Row]) -> None:
         RunError: It cannot be written.
     """
     text = io.StringIO()
-    writer = csv.DictWriter(text, list(table[0]), lineterminator="\n")
+    writer = csv.DictWriter(text, list(map(escape.cell, table[0])), lineterminator="\n")
     writer.writeheader()
     for row in table:
-        writer.writerow({name: "" if value is None else config_io.spelled(value) for name, value in row.items()})
+        writer.writerow({escape.cell(name): _cell(value) for name, value in row.items()})
     files.write_text(path, text.getvalue())
+
+
+def _cell(value: Any) -> str:
+    return "" if value is None else config_io.spelled(escape.cell(value))
 
 
 def check_parquet() -> None:

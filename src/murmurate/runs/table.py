@@ -10,6 +10,8 @@ from typing import Any
 from rich.table import Table
 
 from murmurate.errors import RunError
+from murmurate.runs import escape
+from murmurate.runs.evaluate import evaluated
 from murmurate.runs.folder import MANIFEST, RunFolder, describe_starts, is_fresh
 from murmurate.runs.paper import PaperExperiment
 from murmurate.runs.presets import paper_row
@@ -96,7 +98,7 @@ def results(folders: Iterable[str | Path], trust: bool = False) -> list[Row]:
 
 def _result(folder: RunFolder, trust: bool) -> Row:
     manifest = folder.verify()
-    config, summary = folder.experiment(trust), folder.evaluation()
+    config, summary = folder.experiment(trust), evaluated(folder, trust)
     row = paper_row(config) if is_fresh(summary) else None
     try:
         training = f"{manifest['environment_steps'] / 1e6:.2f} M", f"{manifest['train_seconds']:.0f} s"
@@ -132,7 +134,7 @@ def paper_total(row: PaperExperiment) -> str:
 def gap(summary: Mapping[str, Any]) -> str:
     """Writes by how much the mean objective is below that of the best-known pattern, in percent of it."""
     below, known = summary.get("gap"), summary.get("best_known")
-    if not isinstance(below, float) or not isinstance(known, float) or math.isnan(below):
+    if not isinstance(below, float) or not isinstance(known, float) or math.isnan(below) or not known:
         return NONE
     return f"{100 * below / known:.2f}%"
 
@@ -150,13 +152,17 @@ def as_rich(header: Row, rows: Iterable[Row]) -> Table:
     """Returns a table for the terminal; the first column is text, the others numbers."""
     table = Table()
     for index, name in enumerate(header):
-        table.add_column(name, justify="right" if index else "left")
+        table.add_column(escape.rich(name), justify="right" if index else "left")
     for row in rows:
-        table.add_row(*row)
+        table.add_row(*map(escape.rich, row))
     return table
 
 
 def as_markdown(header: Row, rows: Iterable[Row]) -> str:
     """Returns a table as Markdown."""
     rule = ["---", *["---:"] * (len(header) - 1)]
-    return "\n".join(f"| {' | '.join(cells)} |" for cells in (header, rule, *rows)) + "\n"
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in (_escaped(header), rule, *map(_escaped, rows))) + "\n"
+
+
+def _escaped(cells: Row) -> Row:
+    return [escape.markdown(cell) for cell in cells]

@@ -30,6 +30,9 @@ from murmurate.runs.run import Run
 
 __all__ = ["discover", "discover_together"]
 
+_QUANTITIES = {"reward": "the reward", "policy_loss": "the policy's loss", "value_loss": "the value network's loss"}
+"""What is said to have diverged, by its name in a row of metrics; where all are finite, it is a parameter."""
+
 _PACKAGES = ("jax", "jaxlib", "equinox", "optax", "numpy")
 _FLAGS = ("jax_enable_x64", "jax_default_prng_impl", "jax_threefry_partitionable", "jax_default_matmul_precision")
 _VARIABLES = ("XLA_FLAGS", "OMP_NUM_THREADS")
@@ -300,10 +303,12 @@ def _check_finite(training: _Training, rows: Sequence[dict[str, Any]]) -> None:
     for row in rows:
         # A signal may be NaN in a step whose losses are finite; the reward is not, then.
         if not row.pop("finite") or not math.isfinite(row["reward"]):
+            named = (text for name, text in _QUANTITIES.items() if not math.isfinite(row.get(name, 0.0)))
+            quantity = next(named, "a parameter")
             raise RunError(
                 f"{training.folder.path}: the training of the {_policy_title(row['policy'])} diverged at update "
-                f"{row['update']}: the reward, a loss or a parameter is NaN or infinite; the checkpoint before it is "
-                "kept; try smaller learning rates"
+                f"{row['update']}: {quantity} is NaN or infinite; the checkpoint before it is kept; try smaller "
+                "learning rates"
             )
 
 

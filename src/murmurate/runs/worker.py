@@ -21,8 +21,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from murmurate import compilation_cache
-from murmurate.errors import InputError, RunError
+from murmurate import compilation_cache, untrusted
+from murmurate.errors import InputError, RunError, one_line
 
 try:
     import fcntl
@@ -33,6 +33,8 @@ __all__ = ["LOG", "end_reason", "start_process", "work"]
 
 LOG = "worker.log"
 """What a worker writes on stderr, in the job's folder; removed when the job is finished."""
+
+MAX_LOG_BYTES = 1 << 24
 
 
 def start_process(
@@ -50,7 +52,7 @@ def start_process(
         The process. It ends when its stdin closes, and so when this process ends.
     """
     arguments = [spec, "--threads", str(threads), "--gpus", str(gpus)]
-    with (Path(json.loads(spec)["folder"]) / LOG).open("ab") as log:
+    with untrusted.append(Path(json.loads(spec)["folder"]) / LOG) as log:
         return subprocess.Popen(
             [sys.executable, "-P", "-m", "murmurate.runs.worker", *arguments],
             env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)} | dict(environment or {}),
@@ -69,11 +71,11 @@ def end_reason(status: int, folder: Path) -> str:
     if status == 0:
         return ""
     try:
-        lines = (folder / LOG).read_text(errors="replace").split("\n")
+        lines = untrusted.read(folder / LOG, MAX_LOG_BYTES).decode(errors="replace").split("\n")
     except OSError:
         lines = []
     last = next((line.strip() for line in reversed(lines) if line.strip()), "")
-    return last or f"the worker ended with status {status}"
+    return one_line(last) or f"the worker ended with status {status}"
 
 
 def work(spec: str, threads: int = 1, gpus: int = 0) -> str:
@@ -92,13 +94,13 @@ def work(spec: str, threads: int = 1, gpus: int = 0) -> str:
     folder = Path(json.loads(spec)["folder"])
     _set_environment(threads, gpus)
     try:
-        with (folder / LOG).open("a") as log:
+        with untrusted.append(folder / LOG) as log:
             if fcntl is not None:
                 fcntl.flock(log, fcntl.LOCK_EX)
             log.truncate(0)
             with _stderr_to(log.fileno()):
                 reason = _run(spec)
-            print(reason, file=log)
+            log.write(f"{reason}\n".encode(errors="replace"))
         if not reason:
             (folder / LOG).unlink(missing_ok=True)
     except OSError as error:
@@ -135,7 +137,7 @@ def _run(spec: str) -> str:
         return str(error)
     except Exception as error:
         traceback.print_exc()
-        return " ".join(f"{type(error).__name__}: {error}".split())
+        return one_line(f"{type(error).__name__}: {error}")
     return ""
 
 

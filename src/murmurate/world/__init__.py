@@ -1,7 +1,7 @@
 """The Markov decision process: world, signals, objective, starts, sensing and schedulers. Knows nothing of learning."""
 
 from murmurate.types import Observation, Transition, View
-from murmurate.world.config import WorldConfig, scaled_to, with_array_leaves
+from murmurate.world.config import MAX_ROBOTS, WorldConfig, check_pairs, scaled_to, with_array_leaves
 from murmurate.world.env import (
     ActionRepeat,
     LocalObservation,
@@ -41,6 +41,7 @@ from murmurate.world.starts import (
 )
 
 __all__ = [
+    "MAX_ROBOTS",
     "OBJECTIVES",
     "ActionRepeat",
     "Activation",
@@ -79,6 +80,7 @@ __all__ = [
     "WorldConfig",
     "Wrapper",
     "check_configurations",
+    "check_pairs",
     "check_start",
     "draw_starts",
     "objective_signals",

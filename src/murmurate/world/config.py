@@ -13,11 +13,17 @@ from jaxtyping import Float
 
 from murmurate.errors import MAX_MAGNITUDE, InputError, check_choice, check_number
 
-__all__ = ["Safety", "WorldConfig", "scaled_to", "with_array_leaves"]
+__all__ = ["MAX_ROBOTS", "Safety", "WorldConfig", "check_pairs", "scaled_to", "with_array_leaves"]
 
 Safety = Literal["penalty", "shell"]
 
 MAX_ROBOTS = 10_000
+
+MAX_PAIRS = 1 << 28
+"""Pairs of robots in all worlds of a batch, at most: a number for each takes 1 GiB, and several are needed at once."""
+
+MIN_LENGTH = 1 / MAX_MAGNITUDE
+"""Least length in a world: its square, and squares of parts of it, are not rounded to zero in float32."""
 
 
 class WorldConfig(eqx.Module):
@@ -48,9 +54,11 @@ class WorldConfig(eqx.Module):
     collision_penalty: float = 1.0
 
     def __check_init__(self) -> None:
-        check_number("robots", self.robots, 2, integer=True)
+        check_number("robots", self.robots, 2, MAX_ROBOTS, integer=True)
         for name in ("half_width", "half_height", "radius", "scan_radius", "safe_distance", "max_speed"):
             check_number(name, getattr(self, name), 0, MAX_MAGNITUDE, exclusive_low=True)
+            if getattr(self, name) < MIN_LENGTH:
+                raise InputError(name, getattr(self, name), f"at least {MIN_LENGTH:g}")
         two_radii = 2 * self.radius
         if self.safe_distance <= two_radii:
             raise InputError("safe_distance", self.safe_distance, f"more than two radii ({two_radii:g})")
@@ -70,6 +78,22 @@ class WorldConfig(eqx.Module):
             f"WorldConfig({self.robots} robots of radius {self.radius:g} in {2 * self.half_width:g} x "
             f"{2 * self.half_height:g})"
         )
+
+
+def check_pairs(field: str, count: int, robots: int) -> None:
+    """Checks that a batch of worlds fits in memory: much of what is computed has a number for each pair of robots.
+
+    Args:
+        field: What says how many worlds there are, for the message.
+        count: How many.
+        robots: Robots in each.
+
+    Raises:
+        InputError: They do not fit.
+    """
+    if count * robots**2 > MAX_PAIRS:
+        most = MAX_PAIRS // robots**2
+        raise InputError(field, count, f"at most {most} with {robots} robots: memory holds no more pairs of them")
 
 
 def scaled_to(world: WorldConfig, robots: int) -> WorldConfig:

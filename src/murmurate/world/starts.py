@@ -8,6 +8,7 @@ redrawn: a robot that touches a robot of lower number is drawn again, until none
 from __future__ import annotations
 
 import csv
+import io
 import math
 import operator
 from abc import abstractmethod
@@ -22,11 +23,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from murmurate import prng
+from murmurate import prng, untrusted
 from murmurate.errors import MAX_INTEGER, InputError, check_choice, check_number
 from murmurate.geometry import _batch_last
 from murmurate.registry import Strategy
-from murmurate.world.config import WorldConfig, with_array_leaves
+from murmurate.world.config import MAX_PAIRS, WorldConfig, with_array_leaves
 
 __all__ = [
     "DistributedStart",
@@ -51,8 +52,14 @@ __all__ = [
 MAX_REDRAWS = 10_000
 """Redraws after which overlaps stay: a start that needs more is refused when it is checked."""
 
+MAX_REDRAW_PAIRS = 1 << 34
+"""Pairs of robots compared in all redraws of a batch, about: they take a minute."""
+
 MAX_PARTIAL_REDRAWS = 50
 """Redraws after which a configuration that still overlaps is drawn anew as a whole."""
+
+MAX_STARTS_BYTES = 1 << 26
+"""Size of a file of starts, at most."""
 
 TRIALS = 16
 """Configurations drawn to check a start."""
@@ -392,7 +399,7 @@ def _redraw_overlaps_batch_last(
 ) -> Float[Array, "robots 2 batch"]:
     def pending(carry: tuple[Any, Any, Any, Any]) -> Any:
         _, _, overlapping, turn = carry
-        return jnp.any(overlapping) & (turn < MAX_REDRAWS)
+        return jnp.any(overlapping) & (turn < turns)
 
     def redraw(carry: tuple[Any, Any, Any, Any]) -> tuple[Any, Any, Any, Any]:
         key, positions, overlapping, turn = carry
@@ -404,6 +411,8 @@ def _redraw_overlaps_batch_last(
 
     key, draw = jax.random.split(key)
     positions = propose(draw)
+    # In large batches of large swarms a redraw takes long, and nothing interrupts the loop.
+    turns = min(MAX_REDRAWS, max(MAX_REDRAW_PAIRS // (positions.size * len(positions)), 2 * MAX_PARTIAL_REDRAWS))
     carry = (key, positions, _touch_earlier(positions, radius), 0)
     return jax.lax.while_loop(pending, redraw, carry)[1]
 
@@ -438,6 +447,9 @@ def check_start(start: Start, world: WorldConfig) -> Start:
     Raises:
         InputError: The start returns another shape or type, or numbers that are not finite, or its robots do not fit.
     """
+    if TRIALS * world.robots**2 > MAX_PAIRS:
+        most = math.isqrt(MAX_PAIRS // TRIALS)
+        raise InputError("world.robots", world.robots, f"at most {most}: memory holds no more pairs of them")
     prepared = start.prepare(world)
     key = prng.key(0)
     try:
@@ -530,16 +542,18 @@ def read_starts(path: str | Path, robots: int) -> Float[np.ndarray, "starts robo
     """
     source = str(path)
     try:
-        with open(path, newline="", encoding="utf-8") as file:
-            reader = csv.DictReader(file)
-            missing = {"start", "x", "y"} - set(reader.fieldnames or ())
-            if missing:
-                raise InputError(source, ",".join(reader.fieldnames or ()), "a table with the header start,x,y")
-            starts: dict[str, list[tuple[float, float]]] = {}
-            for row in reader:
-                point = (_coordinate(source, reader.line_num, row, "x"), _coordinate(source, reader.line_num, row, "y"))
-                starts.setdefault(str(row["start"]), []).append(point)
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        text = untrusted.read(path, MAX_STARTS_BYTES, follow=True).decode()
+        reader = csv.DictReader(io.StringIO(text, newline=""))
+        header = reader.fieldnames or ()
+        if {"start", "x", "y"} - set(header):
+            raise InputError(source, "another header", "a table with the header start,x,y")
+        starts: dict[str, list[tuple[float, float]]] = {}
+        for row in reader:
+            point = (_coordinate(source, reader.line_num, row, "x"), _coordinate(source, reader.line_num, row, "y"))
+            starts.setdefault(str(row["start"]), []).append(point)
+    except (OSError, ValueError, csv.Error) as error:
+        if isinstance(error, InputError):
+            raise
         reason = getattr(error, "strerror", None) or "it is not text"
         raise InputError("starts", source, f"a readable CSV file ({reason})") from None
     if not starts:

@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Float
 
 from murmurate.analysis.optimum.formation import Target
-from murmurate.errors import InputError, check_choice
+from murmurate.errors import MAX_MAGNITUDE, InputError, check_choice, check_number
 from murmurate.world import OBJECTIVES, WorldConfig
 
 __all__ = ["TABLE", "BestKnown", "best_known", "is_record", "load", "to_json"]
@@ -88,14 +88,21 @@ class BestKnown:
         if not isinstance(entry, dict) or set(entry) != names:
             raise InputError("pattern", sorted(entry) if isinstance(entry, dict) else entry, f"{sorted(names)}")
         check_choice("objective", entry["objective"], tuple(OBJECTIVES))
+        sizes = WorldConfig(**{name: entry[name] for name in _SIZES})
         try:
             positions = np.array(entry["positions"], float)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             positions = np.empty(0)
-        if positions.shape != (entry["robots"], 2) or not np.isfinite(positions).all():
-            raise InputError("positions", positions.shape, f"finite numbers of shape ({entry['robots']}, 2)")
+        if positions.shape != (sizes.robots, 2) or not (np.abs(positions) <= MAX_MAGNITUDE).all():
+            raise InputError("positions", positions.shape, f"finite numbers of shape ({sizes.robots}, 2)")
         if not isinstance(entry["signals"], dict):
             raise InputError("signals", entry["signals"], "an object with the signals by name")
+        for name, value in entry["signals"].items():
+            check_number(f"signals.{name}", value, -MAX_MAGNITUDE, MAX_MAGNITUDE)
+        if entry["hop"] is not None:
+            check_number("hop", entry["hop"], -MAX_MAGNITUDE, MAX_MAGNITUDE)
+        if not isinstance(entry["command"], str):
+            raise InputError("command", entry["command"], "text")
         known = cls(**{**entry, "positions": positions})
         if not isinstance(known.value, float) or abs(known.target.value(positions) - known.value) > 1e-12:
             raise InputError("value", known.value, f"{known.target.value(positions)!r}, as its positions have")

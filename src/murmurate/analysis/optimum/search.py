@@ -22,7 +22,7 @@ from murmurate.analysis.optimum.polish import polish
 from murmurate.errors import MAX_INTEGER, MAX_MAGNITUDE, check_choice, check_number
 from murmurate.geometry import _batch_last, similarity
 from murmurate.geometry.rings import smallest_ring
-from murmurate.world import WorldConfig
+from murmurate.world import WorldConfig, check_pairs
 
 __all__ = ["Formation", "OptimumConfig", "annealed", "distinct", "hop", "search"]
 
@@ -65,6 +65,7 @@ class OptimumConfig:
         check_number("polished", self.polished, 0, MAX_INTEGER, integer=True)
         check_number("hops", self.hops, 0, 1_000_000, integer=True)
         check_number("seed", self.seed, 0, MAX_INTEGER, integer=True)
+        check_pairs("annealing.chains", self.annealing.chains, self.world.robots)
 
     @property
     def target(self) -> Target:

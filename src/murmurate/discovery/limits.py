@@ -1,0 +1,82 @@
+"""What fits in memory and time, said before anything is computed.
+
+A configuration may ask for any number of robots, worlds and steps: one from a stranger, or one with a slip of the
+finger. Whatever holds a number for each pair of robots, or each step of an episode, is bounded here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float
+
+from murmurate.discovery.cascade import Cascade
+from murmurate.discovery.problem import Problem
+from murmurate.discovery.stage import policy_name
+from murmurate.errors import InputError, RunError
+from murmurate.types import Trajectories
+from murmurate.world import check_pairs
+
+__all__ = ["MAX_RECORD_BYTES", "MAX_REST_STEPS", "check_training", "rollout"]
+
+MAX_REST_STEPS = 10_000_000
+"""Steps after which a policy is cut off, at most: several times as many as a swarm of 1,000 robots has."""
+
+MAX_RECORD_BYTES = 1 << 32
+"""Memory of the positions of a rollout, at most: 10,000 episodes of ten robots, more than 5,000 steps each."""
+
+MAX_STORED_PAIRS = 1 << 30
+"""Pairs of robots in all steps between two updates, at most: what each robot sees of each other takes some GiB."""
+
+
+def check_training(problem: Problem) -> None:
+    """Checks that a training fits in memory: all of its worlds at once, and the steps between two updates.
+
+    Raises:
+        InputError: It does not; the message names the field.
+    """
+    robots = problem.world.robots
+    for index in range(min(2, problem.discovery.max_policies)):
+        ppo, name = problem.stage(index).ppo, policy_name(index)
+        check_pairs(f"{name}.ppo.worlds", ppo.worlds, robots)
+        stored = ppo.worlds * robots**2
+        if stored * ppo.steps > MAX_STORED_PAIRS:
+            most = max(MAX_STORED_PAIRS // stored, 1)
+            raise InputError(f"{name}.ppo.steps", ppo.steps, f"at most {most} with {ppo.worlds} worlds of {robots}")
+    check_pairs("discovery.sigma", problem.discovery.sigma, robots)
+    check_pairs("discovery.episodes", problem.discovery.episodes, robots)
+
+
+def rollout(cascade: Cascade, starts: Float[np.ndarray, "episodes robots 2"], seed: int = 0) -> Trajectories:
+    """Executes a cascade as `Cascade.rollout` does, as long as the record of it fits in memory.
+
+    Most episodes come to rest long before they would be cut off. So it is not refused for what it might take: where
+    memory would not hold it, it is cut off earlier, and refused if an episode needed more.
+
+    Args:
+        cascade: The cascade.
+        starts: One configuration for each episode.
+        seed: See `Cascade.rollout`.
+
+    Raises:
+        InputError: So many episodes of so many robots do not fit at once.
+        RunError: An episode went on until memory was full.
+    """
+    episodes, robots = starts.shape[:2]
+    check_pairs("episodes", episodes, robots)
+    rest, policies = cascade.rest, len(cascade.policies)
+    if rest.window > MAX_RECORD_BYTES // (4 * episodes):
+        allowed = f"at most {MAX_RECORD_BYTES // (4 * episodes)} for {episodes} episodes"
+        raise InputError("rest.window", rest.window, allowed)
+    most = max(MAX_RECORD_BYTES // (starts.size * 4 * policies), 1)
+    if rest.max_steps <= most:
+        return cascade.rollout(starts, seed=seed)
+    capped = Cascade(cascade.policies, cascade.env, replace(rest, max_steps=most))
+    trajectories = capped.rollout(starts, seed=seed)
+    if (~trajectories.at_rest & ~trajectories.terminated).any():
+        raise RunError(
+            f"{episodes} episodes of {robots} robots did not come to rest in {most} steps, more than memory holds: try "
+            "fewer episodes, or a smaller rest.max_steps"
+        )
+    return trajectories

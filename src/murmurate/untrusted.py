@@ -1,0 +1,154 @@
+"""Opens files in folders that may be a stranger's: no link is followed, nothing but regular files is read.
+
+A folder from someone else may hold links to files elsewhere, pipes and devices that never end, or files of any size. So
+files are opened without following a link and without waiting, and read up to a stated size. Nothing is written to a
+file that is there: a new one, under a name that nobody can foresee, is moved into its place.
+
+Errors are `OSError`s whose `strerror` is a reason in words; none of them repeats what a file holds.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import secrets
+import stat
+from collections.abc import Iterator
+from pathlib import Path
+from typing import BinaryIO
+
+__all__ = ["append", "check_inside", "create", "partial_files", "read", "read_end", "replace"]
+
+# Not every system has all of these; without O_NOFOLLOW links are looked for first.
+_NO_FOLLOW = getattr(os, "O_NOFOLLOW", 0)
+_NO_WAIT = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
+
+
+def read(path: str | os.PathLike[str], max_bytes: int, follow: bool = False) -> bytes:
+    """Reads a regular file whole.
+
+    Args:
+        path: The file.
+        max_bytes: Size of the largest file that is read.
+        follow: Whether it may be a link: for files that the user names, never for those that a folder holds.
+
+    Raises:
+        OSError: It cannot be opened, is a link, is no regular file, or is too large.
+    """
+    descriptor = _open(path, os.O_RDONLY, follow)
+    with open(descriptor, "rb") as file:
+        _check_regular(descriptor)
+        too_large = os.fstat(descriptor).st_size > max_bytes
+        # The size alone is not believed: files of /proc have none, and a file may grow.
+        data = b"" if too_large else file.read(max_bytes + 1)
+        if too_large or len(data) > max_bytes:
+            raise OSError(errno.EFBIG, f"it is larger than {max_bytes >> 10} KiB, the most that is read")
+        return data
+
+
+def read_end(path: str | os.PathLike[str], max_bytes: int) -> bytes:
+    """Reads the last bytes of a regular file.
+
+    Raises:
+        OSError: It cannot be opened, is a link, or is no regular file.
+    """
+    descriptor = _open(path, os.O_RDONLY)
+    with open(descriptor, "rb") as file:
+        _check_regular(descriptor)
+        file.seek(max(0, os.fstat(descriptor).st_size - max_bytes))
+        return file.read(max_bytes)
+
+
+def append(path: str | os.PathLike[str]) -> BinaryIO:
+    """Opens a regular file without a buffer, to write behind its end or to lock it; creates it where there is none.
+
+    Raises:
+        OSError: It cannot be opened, is a link, or is no regular file.
+    """
+    descriptor = _open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT)
+    try:
+        _check_regular(descriptor)
+        return open(descriptor, "ab", buffering=0)
+    except BaseException:
+        os.close(descriptor)
+        raise
+
+
+@contextlib.contextmanager
+def create(path: str | os.PathLike[str], data: bytes) -> Iterator[Path]:
+    """Writes data to a new file beside a path, and removes it again at the end of the block, if it is still there.
+
+    Yields:
+        The new file, which is on disk.
+
+    Raises:
+        OSError: It cannot be written.
+    """
+    path = Path(path)
+    partial = path.with_name(f".{path.name[:100]}.{secrets.token_hex(8)}.partial")
+    try:
+        with open(_open(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL), "wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        yield partial
+    finally:
+        with contextlib.suppress(OSError):
+            partial.unlink()
+
+
+def replace(path: str | os.PathLike[str], data: bytes) -> None:
+    """Writes a file whole or not at all, in place of what has its name: a link is replaced, not followed.
+
+    Raises:
+        OSError: It cannot be written; what was there before still is.
+    """
+    path = Path(path)
+    with create(path, data) as partial:
+        os.replace(partial, path)
+    with contextlib.suppress(OSError):  # the name is safe on disk too, where a folder can be synced
+        descriptor = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+
+
+def partial_files(folder: Path) -> list[Path]:
+    """Returns the files that killed processes left in a folder unfinished."""
+    return [path for path in folder.glob(".*.partial") if path.is_file() and not path.is_symlink()]
+
+
+def check_inside(folder: str | os.PathLike[str], name: str) -> Path:
+    """Returns the path of what a folder holds under a name, after checking that no part of the name is a link.
+
+    Args:
+        folder: The folder, which may be a link itself: the user names it.
+        name: A relative path below it.
+
+    Raises:
+        OSError: A part of the name is a link, or leads out of the folder.
+    """
+    path = Path(folder)
+    for part in Path(name).parts:
+        path = path / part
+        if part == ".." or os.path.isabs(part):
+            raise OSError(errno.EPERM, "it is outside the folder", str(path))
+        if os.path.islink(path):
+            raise OSError(errno.ELOOP, f"{path.name} is a link, and links in a folder are not followed", str(path))
+    return path
+
+
+def _open(path: str | os.PathLike[str], flags: int, follow: bool = False) -> int:
+    if not follow and os.path.islink(path) and not flags & os.O_EXCL:
+        raise OSError(errno.ELOOP, "it is a link, and links in a folder are not followed", str(path))
+    return os.open(path, flags | _NO_WAIT | (0 if follow else _NO_FOLLOW), 0o666)
+
+
+def _check_regular(descriptor: int) -> None:
+    mode = os.fstat(descriptor).st_mode
+    if stat.S_ISDIR(mode):
+        raise OSError(errno.EISDIR, os.strerror(errno.EISDIR))
+    if not stat.S_ISREG(mode):
+        raise OSError(errno.EINVAL, "it is no regular file")
