@@ -10,6 +10,7 @@ import pytest
 from murmurate import plots
 from murmurate.errors import InputError, RunError
 from murmurate.runs.folder import RunFolder
+from tiny import made_up_summary
 
 
 @pytest.fixture(scope="module")
@@ -34,23 +35,9 @@ def write_run(recording, folder):
         for update in range(len(curve.environment_steps))
     )
     folder.write_policies([{"weight": np.zeros(1)}] * 2)
-    folder.write_evaluation(summary_of(recording), arrays_of(recording.trajectories))
+    folder.write_evaluation(made_up_summary(len(recording.trajectories.lengths)), arrays_of(recording.trajectories))
     folder.write_manifest({}, policies=2)
     return folder.path
-
-
-def summary_of(recording):
-    shares = ("valid", "contact_free", "inside", "mutually_visible", "gathered", "safe", "at_rest")
-    steps = ("base_steps", "auxiliary_steps", "total_steps", "bound_steps")
-    return {
-        **dict.fromkeys(shares, 1.0),
-        **dict.fromkeys(steps, 9.0),
-        "episodes": len(recording.trajectories.lengths),
-        "starts": {"kind": "fresh"},
-        "valid_interval": [0.5, 1.0],
-        "signal": {},
-        "failures": [],
-    }
 
 
 def arrays_of(trajectories):
@@ -76,7 +63,7 @@ def test_what_cannot_be_drawn_is_one_line(recording, change, tmp_path):
         plots.Recording.open(tmp_path / "nowhere")
     run = RunFolder(write_run(recording, RunFolder(tmp_path / "run")))
     diverged = change(recording, positions=np.full_like(recording.trajectories.positions, np.nan))
-    run.write_evaluation(summary_of(recording), arrays_of(diverged.trajectories))
+    run.write_evaluation(made_up_summary(len(recording.trajectories.lengths)), arrays_of(diverged.trajectories))
     with pytest.raises(RunError, match=r"trajectories\.npz has .* not finite"):
         plots.Recording.open(run)
     (run.path / "trajectories.npz").unlink()

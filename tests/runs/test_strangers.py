@@ -17,6 +17,7 @@ from murmurate.runs import comparison, config_io, experiment, files
 from murmurate.runs.folder import MANIFEST, RunFolder
 from murmurate.runs.grid import Grid
 from murmurate.runs.jobs import TrainingJob
+from murmurate.runs.run import Run
 from tiny import seal, tiny, write_toml
 
 SECRET = "root:x:0:0"
@@ -113,6 +114,14 @@ def test_writing_replaces_links_and_follows_none(strange, outside, tmp_path):
     put(tmp_path / "y", "link", outside)
     with pytest.raises(RunError, match="is a link"):
         files.append_rows(tmp_path / "y", [{}])
+
+
+def test_a_copy_holds_nothing_from_outside(strange, outside, tmp_path):
+    put(strange.path / "metrics.jsonl", "link", outside)
+    for copy in (strange.copy_to, Run.open(strange.path).save):
+        with pytest.raises(RunError, match=r"metrics\.jsonl is a link"):
+            copy(tmp_path / "copy")
+        assert not (tmp_path / "copy").exists()
 
 
 @pytest.mark.parametrize("name", [".training.lock", ".lock", "worker.log"])
@@ -300,7 +309,6 @@ def test_what_does_not_fit_is_one_line_and_leaves_no_folder(tmp_path, capsys, fl
 
 def test_an_evaluation_ends_where_memory_would(strange, monkeypatch):
     from murmurate.discovery import limits
-    from murmurate.runs.run import Run
 
     run = Run.open(strange.path)
     monkeypatch.setattr(limits, "MAX_RECORD_BYTES", 4 * 2 * 3 * 2 * 50)

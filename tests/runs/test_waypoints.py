@@ -15,7 +15,7 @@ from murmurate.interop.waypoints import Scale, Waypoints
 from murmurate.runs import files
 from murmurate.runs.evaluate import evaluate
 from murmurate.runs.folder import RunFolder
-from tiny import tiny
+from tiny import made_up_summary, tiny
 
 RADIUS, SPEED = 1.0, 0.5
 
@@ -36,7 +36,7 @@ def recorded(tmp_path):
         }
         folder.write_experiment(tiny())
         folder.write_policies([{}])
-        folder.write_evaluation({}, arrays)
+        folder.write_evaluation(made_up_summary(episodes), arrays)
         folder.write_manifest({}, policies=1)
         return tmp_path
 

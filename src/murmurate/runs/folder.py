@@ -604,12 +604,12 @@ class RunFolder:
             RunError: The folder holds something, or cannot be written to; or this run is damaged.
         """
         manifest, copy = self.verify(), RunFolder(folder)
+        names = [name for name in (*trained_checksums(manifest), METRICS) if self._inside(name).exists()]
         copy.create()
-        for name in (*trained_checksums(manifest), METRICS):
-            source, target = self._inside(name), copy._inside(name)
-            if source.exists():
-                files.make_folder(target.parent)
-                files.write_bytes(target, files.read_bytes(source))
+        for name in names:
+            target = copy._inside(name)
+            files.make_folder(target.parent)
+            files.write_bytes(target, files.read_bytes(self._inside(name)))
         # The manifest last: it marks the copy as complete.
         copy.write_manifest(manifest, len(manifest["policies"]))
         return copy

@@ -112,11 +112,10 @@ class Run:
         Raises:
             RunError: The folder holds something already, or cannot be written to.
         """
-        target = RunFolder(folder)
+        target, metrics = RunFolder(folder), files.inside(self.folder, METRICS)
         target.create()
         target.write_experiment(self.experiment)
         target.write_policies(self.cascade.policies)
-        metrics = files.inside(self.folder, METRICS)
         if metrics.exists():
             files.write_bytes(target.path / METRICS, files.read_bytes(metrics))
         target.write_manifest({**self.manifest, "robots": self.experiment.world.robots}, len(self.cascade.policies))
