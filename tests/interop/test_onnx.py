@@ -159,6 +159,47 @@ def test_a_robot_with_its_own_eyes_moves_by_its_model_as_in_the_world(objective,
         np.testing.assert_allclose(theirs, expected[:, robot], atol=1e-5)
 
 
+def symmetric(robots):
+    """Returns rings, a ring around a robot, grids, lines and coincident robots, turned by some angles."""
+    number = np.arange(robots)
+    shapes = [
+        robots * np.exp(2j * np.pi * number / robots),
+        robots * np.append(np.exp(2j * np.pi * number[1:] / max(robots - 1, 1)), 0),
+        4 * (number % 4 + 1j * (number // 4)),
+        4 * number + 0j,
+        np.where(number < 2, 0j, 4.0 * number),
+    ]
+    turned = np.concatenate([np.array(shapes) * np.exp(1j * angle) for angle in (0, 0.3, 0.7, np.pi / 4, 2.0)])
+    return np.stack([np.real(turned), np.imag(turned)], axis=-1).astype(np.float32)
+
+
+@pytest.mark.parametrize("robots", [2, 10, 16])
+def test_symmetric_swarms_are_ours_to_1e_5(one_policy, robots):
+    policy, model = one_policy
+    positions = symmetric(robots)
+    (theirs,) = model.session().run(None, {"positions": positions})
+    ours = jnp.moveaxis(policy(jnp.moveaxis(jnp.asarray(positions), 0, -1)), -1, 0)
+    np.testing.assert_allclose(theirs, ours, atol=1e-5)
+
+
+@pytest.mark.parametrize("robots", [2, 3, 10, 16])
+def test_the_check_looks_at_symmetric_swarms(equivariant, robots):
+    """Some robots tie in distance, some stand in line, some are at one place; whole and as one robot's view."""
+    run, model = equivariant
+    run = run.of_size(robots)
+    for name, program in (("positions", model.program), ("others", local("C2", False)[1].program)):
+        inputs = onnx._random_inputs(run, program, robots, 200, np.random.default_rng(0))[name].astype(float)
+        x, y = np.moveaxis(inputs if name == "positions" else np.pad(inputs, ((0, 0), (1, 0), (0, 0))), 2, 0)
+        apart = np.hypot(x[:, 1:] - x[:, :1], y[:, 1:] - y[:, :1])
+        assert (apart[:, :1] == 0).sum() >= 6
+        if robots > 2:
+            cross = (x[:, 1] - x[:, 0]) * (y[:, -1] - y[:, 0]) - (y[:, 1] - y[:, 0]) * (x[:, -1] - x[:, 0])
+            in_line = (np.abs(cross) < 1e-3 * apart[:, 0] * apart[:, -1]) & (apart.min(axis=1) > 0)
+            ties = (np.abs(np.diff(np.sort(apart, axis=1), axis=1)) < 1e-5).any(axis=1) & (apart.min(axis=1) > 0)
+            assert in_line.sum() >= 6
+            assert ties.sum() >= 6
+
+
 def test_a_view_may_leave_out_or_fill_up_whom_it_does_not_hold():
     model = local("C2", False)[1]
     alone = np.array([[[4.0, 3.0], [-6.0, 1.0]]], np.float32)

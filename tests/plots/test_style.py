@@ -10,7 +10,8 @@ from PIL import Image
 
 from murmurate import plots
 from murmurate.errors import InputError, RunError
-from murmurate.plots.style import FAINT, new_page, quantize, separate_labels
+from murmurate.plots import animation, model, run, studies, swarm
+from murmurate.plots.style import COLORS, FAINT, INSIDE, POLICIES, WARNING, new_page, quantize, separate_labels
 
 
 def test_labels_move_only_as_far_as_they_must():
@@ -53,3 +54,46 @@ def test_colours_are_the_nearest():
     np.testing.assert_array_equal(few[0, :3], [[255, 255, 255], [213, 94, 0], [213, 94, 0]])
     dark = np.asarray(quantize(pixels, levels=1, colors=["white"], background="black").convert("RGB"))
     np.testing.assert_array_equal(dark[0, [0, 3]], [[255, 255, 255], [0, 0, 0]])
+
+
+LEGENDS = {
+    "signals": [color for color, _ in (*run._SIGNALS.values(), *run._OTHER_SIGNALS)],
+    "starts": [color for color, _ in studies._STARTS.values()],
+    "model": [*model._LIGHTS, INSIDE, WARNING],
+    "policies": POLICIES,
+    "sight": [swarm.LIGHT.clear[0], swarm.LIGHT.blocked[0], swarm.LIGHT.robot, swarm.LIGHT.shell],
+}
+
+
+def crowded(colors):
+    """Returns a picture of thousands of colours, in which few pixels have those given."""
+    pixels = np.random.default_rng(0).integers(0, 256, (200, 200, 3), dtype=np.uint8)
+    common = np.random.default_rng(1).integers(0, 256, (150, 3), dtype=np.uint8)
+    pixels[:100] = np.repeat(common, -(-20000 // 150), axis=0)[:20000].reshape(100, 200, 3)
+    wanted = np.round(255 * np.array([to_rgb(color) for color in colors])).astype(int)
+    pixels[-1, : len(wanted)] = wanted
+    return pixels, wanted
+
+
+@pytest.mark.parametrize("legend", LEGENDS)
+def test_every_colour_of_a_legend_survives(legend):
+    """Even that of a thin dotted line in a picture that is full of other colours."""
+    pixels, wanted = crowded(LEGENDS[legend])
+    kept = np.asarray(quantize(pixels, levels=8, frequent=150).convert("RGB")).astype(int)[-1, : len(wanted)]
+    assert np.abs(kept - wanted).max() <= 2
+    assert len(COLORS) * 8 + 1 + 150 <= 256
+
+
+def test_every_policy_of_an_animation_has_its_colour(monkeypatch):
+    night = swarm.NIGHT
+    pixels, wanted = crowded([*night.policies, night.clear[0], night.blocked[0], night.robot])
+    colors = []
+
+    def recorded(picture, levels, **given):
+        colors.append(given)
+        return quantize(picture, levels, **given)
+
+    monkeypatch.setattr(animation, "quantize", recorded)
+    animation._gif(iter([pixels]), 10)
+    kept = np.asarray(quantize(pixels, 6, **colors[0]).convert("RGB")).astype(int)[-1, : len(wanted)]
+    assert np.abs(kept - wanted).max() <= 2

@@ -65,6 +65,18 @@ def test_no_frame_changes_where_a_robot_goes(use):
         np.testing.assert_allclose(turned, plain, atol=2e-5)
 
 
+def test_a_mirrored_frame_changes_where_its_robot_goes_and_nobody_else():
+    """A policy may prefer one hand: only robots that do not see a mirror image go where they went."""
+    policy, _ = networks()
+    plain = velocities(policy, configuration())
+    frames, observation = observed(configuration(), 1, rotation=True, reflection=True)
+    mirrored = np.asarray(frames.chirality) < 0
+    assert 0 < mirrored.sum() < len(mirrored)
+    now = np.asarray(frames.to_world(act(policy, observation)))
+    np.testing.assert_allclose(now[~mirrored], plain[~mirrored], atol=2e-5)
+    assert (np.abs(now - plain)[mirrored].max(axis=1) > 0.01).all()
+
+
 def test_turning_the_swarm_turns_its_velocities():
     policy, _ = networks()
     turn = jnp.asarray([[np.cos(1.0), -np.sin(1.0)], [np.sin(1.0), np.cos(1.0)]], jnp.float32)

@@ -185,7 +185,7 @@ def _webp(frames: Iterator[UInt8[np.ndarray, "height width 3"]], fps: int) -> by
 def _gif(frames: Iterator[UInt8[np.ndarray, "height width 3"]], fps: int) -> bytes:
     size = (WIDTH * 3 // 4, HEIGHT * 3 // 4)
     pictures, data = [Image.fromarray(frame).resize(size, Image.Resampling.LANCZOS) for frame in frames], b""
-    colors = (NIGHT.robot, NIGHT.clear[0], NIGHT.blocked[0], NIGHT.shell, *NIGHT.policies[:3])
+    colors = (NIGHT.robot, NIGHT.clear[0], NIGHT.blocked[0], NIGHT.shell, *NIGHT.policies)
     for levels, stride in ((6, 1), (3, 1), (3, 2)):
         few = [quantize(np.asarray(p), levels, colors=colors, background=NIGHT.background) for p in pictures]
         data = _encode(few, "GIF", stride, round(100 / fps) * 10, optimize=False)  # the format counts 10 ms

@@ -18,6 +18,7 @@ from murmurate.plots.style import (
     INK,
     LEFT,
     MUTED,
+    NEIGHBORS,
     TEXT,
     TITLE,
     WARNING,
@@ -60,7 +61,7 @@ _SIGNALS = {
     "close": ("#56B4E9", (0, (5, 1.2))),
     "nclose": ("#56B4E9", (0, (5, 1.2))),
     "safety": ("#CC79A7", (0, (3, 1, 1, 1))),
-    "neighbors": ("#B8860B", (0, (1.2, 1))),
+    "neighbors": (NEIGHBORS, (0, (1.2, 1))),
     "visible": (WARNING, "-"),
 }
 _OTHER_SIGNALS = (("#009E73", (0, (6, 1, 1, 1, 1, 1))), ("#0072B2", (0, (2, 2))), (MUTED, (0, (8, 2))))

@@ -32,6 +32,7 @@ __all__ = [
     "INSIDE",
     "LEFT",
     "MUTED",
+    "NEIGHBORS",
     "NIGHT_POLICIES",
     "POLICIES",
     "ROBOT",
@@ -61,10 +62,12 @@ ROBOT = "#44576B"
 SIGHT = "#8A97A5"
 WARNING = "#D55E00"
 INSIDE = "#E69F00"
+NEIGHBORS = "#B8860B"
 POLICIES = ("#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 NIGHT_POLICIES = ("#56B4E9", "#3CCB9F", "#F0A8CE", "#F5C056", "#A5DBFA")
 """Colours of the policies of the list on white and, lighter, on a dark background."""
-COLORS = (INK, MUTED, FAINT, ROBOT, SIGHT, WARNING, *POLICIES)
+COLORS = (INK, MUTED, FAINT, ROBOT, SIGHT, WARNING, NEIGHBORS, *POLICIES)
+"""Every colour that tells things apart: pictures keep them exactly, however little of one there is."""
 
 WIDTH = 10.0
 """Width of a page, inches; where it is shown 1000 pixels wide, a point is 1.4 pixels."""
@@ -223,7 +226,9 @@ def quantize(
     drawn, empty = np.array([to_rgb(color) for color in colors]), np.array(to_rgb(background))
     blends = np.round(255 * (shares * drawn + (1 - shares) * empty)).astype(int) @ _PACK
     palette = np.unique(np.concatenate([blends.ravel(), values[np.argsort(-counts, kind="stable")][:frequent]]))
-    candidates, wanted = ((packed[:, None] >> np.array([16, 8, 0])) & 255 for packed in (palette, values))
+    # As floating-point numbers, which NumPy multiplies much faster: these are whole and far below 2^24, so exact.
+    bits = np.array([16, 8, 0])
+    candidates, wanted = (((packed[:, None] >> bits) & 255).astype(np.float32) for packed in (palette, values))
     # |a - b|^2 less |a|^2, which is the same for all candidates.
     nearest = ((candidates**2).sum(axis=1) - 2 * wanted @ candidates.T).argmin(axis=1)
     picture = Image.fromarray(nearest[inverse].reshape(pixels.shape[:2]).astype(np.uint8))

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -75,8 +76,9 @@ class Model:
         """Returns the greatest difference between the outputs of the model and those of the run.
 
         In swarms of the run's own size, a single policy is compared with what it does in the run's world, on random
-        configurations and on those that the run's episodes pass. Cascades, and swarms of two to twelve robots where the
-        model takes any number, are compared with the function that was exported.
+        configurations, on those that the run's episodes pass, and on degenerate ones: symmetric, in line, with robots
+        at one place. Where robots tie, two computations that round differently part most easily. Cascades, and swarms
+        of two to twelve robots where the model takes any number, are compared with the function that was exported.
 
         Args:
             run: The run that was exported.
@@ -238,6 +240,8 @@ def _random_inputs(
             inputs[name] = run.experiment.world.safe_distance * rng.standard_normal((count, *axes))
             if name == "others":  # some of which are not seen
                 inputs[name] *= rng.random((count, axes[0], 1)) < SEEN
+                symmetric = _degenerate(run, robots, rng)[:count]
+                inputs[name][: len(symmetric)] = symmetric[:, 1:] - symmetric[:, :1]
     return {name: value.astype(np.float32) for name, value in inputs.items()}
 
 
@@ -250,7 +254,34 @@ def _positions(run: Run, robots: int, count: int, rng: np.random.Generator) -> n
         recorded = run.rollout(EPISODES, int(rng.integers(2**31))).positions.reshape(-1, robots, 2)
         half = count // 2
         positions[:half] = recorded[rng.choice(len(recorded), half)]
+    degenerate = _degenerate(run, robots, rng)[:count]
+    positions[count - len(degenerate) :] = degenerate
     return positions
+
+
+def _degenerate(run: Run, robots: int, rng: np.random.Generator) -> Float[np.ndarray, "configurations robots 2"]:
+    """Returns symmetric configurations, turned: rings, a ring around a robot, grids, nested rings, lines, coincidences.
+
+    In the middle of nowhere, and at the gathering point.
+    """
+    number = np.arange(robots)
+    columns = math.isqrt(robots - 1) + 1
+    halves = np.where(number % 2, 1.0, 2.0) * np.exp(2j * np.pi * (number // 2) / max(-(-robots // 2), 1))
+    around = np.append(np.exp(2j * np.pi * number[:-1] / max(robots - 1, 1)), 0.0)
+    shapes = [
+        robots / 4 * np.exp(2j * np.pi * number / robots),
+        robots / 4 * around,
+        robots / 6 * halves,
+        number % columns - (columns - 1) / 2 + 1j * (number // columns),
+        number - (robots - 1) / 2 + 0j,
+        np.where(number < 2, 0.0, number + 0j),
+        np.where(number < 2, 0.0, 2 * np.exp(2j * np.pi * number / robots)),
+        np.zeros(robots, complex),
+    ]
+    spacing = run.experiment.world.safe_distance
+    turned = np.concatenate([spacing * np.exp(1j * angle) * np.array(shapes) for angle in (0.0, 0.7, np.pi / 4)])
+    points = np.stack([np.real(turned), np.imag(turned)], axis=-1)
+    return np.concatenate([points, points + spacing * rng.uniform(-3, 3, (len(points), 1, 2))])
 
 
 def _memory(run: Run, positions: np.ndarray, width: int, rng: np.random.Generator) -> np.ndarray:
