@@ -177,10 +177,37 @@ def test_an_experiment_is_written_out_as_toml(tmp_path, capsys):
 
 
 def test_help_shows_the_defaults_of_the_experiment(capsys):
-    assert main(["discover", "A", "--help"]) == 0
+    assert main(["discover", "A", "--help-all"]) == 0
     text = " ".join(capsys.readouterr().out.split())
     assert "Bound on each velocity component, world units per step. (default: 0.4)" in text
     assert "Defaults are those of experiment A." in text
     for verb in ("evaluate", "show", "experiments", "table"):
         assert main([verb, "--help"]) == 0
         assert f"usage: murmurate {verb}" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("verb", "flags"), [("discover", 12), ("optimum", 7)])
+def test_help_is_one_page_and_help_all_has_every_field(verb, flags, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    assert main([verb, "A", "--help"]) == 0
+    page = capsys.readouterr().out
+    assert page.count("\n") <= 60
+    assert sum(line.startswith("  --") for line in page.splitlines()) == flags
+    assert main([verb, "A", "--help-all"]) == 0
+    everything = capsys.readouterr().out
+    for flag in ("--world.radius", "--world.max_speed"):
+        assert flag in everything
+        assert flag not in page
+
+
+def test_the_help_of_experiments_names_what_its_errors_name(capsys):
+    assert main(["experiments", "--help"]) == 0
+    text = " ".join(capsys.readouterr().out.split())
+    assert main(["experiments", "G"]) == 2
+    allowed = capsys.readouterr().err.partition("must be one of ")[2].strip()
+    assert allowed == "A, B, C, D, E, F, or a TOML file"
+    assert allowed in text
+    assert main(["experiments", "A", "--learner", "best"]) == 2
+    allowed = capsys.readouterr().err.partition("must be one of ")[2].strip()
+    assert allowed == ", ".join(presets.TRAINING_PRESETS)
+    assert allowed in text

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from murmurate.cli.arguments import Parser, chosen_strategies
 from murmurate.errors import UsageError
-from murmurate.runs.paper import EXPERIMENTS, check_experiment
+from murmurate.runs.paper import ALLOWED, check_experiment
 
 if TYPE_CHECKING:
     from murmurate.runs.folder import RunFolder
@@ -21,6 +21,22 @@ if TYPE_CHECKING:
 __all__ = ["run"]
 
 NOTHING_VALID = 3
+
+EVERYDAY = (
+    "--out",
+    "--config",
+    "--resume",
+    "--quiet",
+    "--seed",
+    "--seeds",
+    "--vary",
+    "--objective",
+    "--policy",
+    "--start.use",
+    "--world.robots",
+    "--base.ppo.updates",
+)
+"""The flags that --help shows; --help-all shows the rest, one for every field of an experiment."""
 
 
 def run(argv: Sequence[str]) -> int:
@@ -83,8 +99,10 @@ def _parser(word: str | None, argv: Sequence[str]) -> Parser:
     from murmurate.runs.config_io import leaves
     from murmurate.runs.experiment import read_toml
 
-    parser = Parser("discover", "EXPERIMENT", "Trains the policies of an experiment, evaluates and draws them.")
-    parser.add_argument("experiment", metavar="EXPERIMENT", help=f"{', '.join(EXPERIMENTS)}, or a TOML file")
+    parser = Parser(
+        "discover", "EXPERIMENT", "Trains the policies of an experiment, evaluates and draws them.", EVERYDAY
+    )
+    parser.add_argument("experiment", metavar="EXPERIMENT", help=ALLOWED)
     parser.add_argument("--out", metavar="DIR", help="run folder (default: runs/EXPERIMENT-LEARNER-seedSEED)")
     parser.add_argument("--config", metavar="FILE", help="TOML file of fields to replace; flags win over it")
     names = ",".join(presets.TRAINING_PRESETS)

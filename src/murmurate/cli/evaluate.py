@@ -24,11 +24,13 @@ def run(argv: Sequence[str]) -> int:
     parser.add_argument("--trust", action="store_true", help="import the modules that RUN names, which executes them")
     options, _ = parser.parse(argv)
 
+    import numpy as np
+
     from murmurate.cli import summary
     from murmurate.runs import evaluate
     from murmurate.runs.folder import RunFolder
     from murmurate.runs.run import Run, check_draw
-    from murmurate.world import check_configurations, read_starts
+    from murmurate.world import check_configurations, read_named_starts
 
     folder, target = RunFolder(options.run), RunFolder(options.out or options.run)
     is_copy = target.path.resolve() != folder.path.resolve()
@@ -40,8 +42,9 @@ def run(argv: Sequence[str]) -> int:
     opened = Run.open(folder.path, options.trust)
     world, starts, file = opened.experiment.world, None, None
     if options.starts is not None:
-        starts, file = read_starts(options.starts, world.robots), Path(options.starts).name
-        check_configurations(starts, world, options.starts)
+        named, file = read_named_starts(options.starts, world.robots), Path(options.starts).name
+        starts = np.array(list(named.values()))
+        check_configurations(starts, world, options.starts, list(named))
         if (options.episodes or 0) > len(starts):
             raise InputError("--episodes", options.episodes, f"at most the {len(starts)} starts of {options.starts}")
         starts = starts[: options.episodes]

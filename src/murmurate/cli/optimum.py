@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from murmurate.cli.arguments import Parser
 from murmurate.errors import InputError, RunError
-from murmurate.runs.paper import EXPERIMENTS, check_experiment
+from murmurate.runs.paper import ALLOWED, check_experiment
 
 if TYPE_CHECKING:
     from murmurate.analysis.optimum.search import Formation, OptimumConfig
@@ -16,6 +16,9 @@ if TYPE_CHECKING:
 __all__ = ["run"]
 
 MAX_LISTED = 8
+
+EVERYDAY = ("--out", "--objective", "--world.robots", "--annealing.chains", "--polished", "--hops", "--seed")
+"""The flags that --help shows; --help-all shows the rest, one for every field of the search."""
 
 
 def run(argv: Sequence[str]) -> int:
@@ -33,8 +36,8 @@ def run(argv: Sequence[str]) -> int:
         raise InputError("objective", formations.objective, "C1 or C2")
     config = OptimumConfig(formations.world, formations.objective)
     text = "Searches for the best formation in the world of an experiment; without any word, lists the best known."
-    parser = Parser("optimum", "[EXPERIMENT]", text)
-    names = f"whose sizes to begin with: {', '.join(EXPERIMENTS)}, or a TOML file (default: C)"
+    parser = Parser("optimum", "[EXPERIMENT]", text, EVERYDAY)
+    names = f"whose sizes to begin with: {ALLOWED} (default: C)"
     parser.add_argument("experiment", metavar="EXPERIMENT", nargs="?", help=names)
     parser.add_argument("--out", metavar="FILE.json", help="write the best one, for the table of best-known patterns")
     parser.add_fields(config)
