@@ -78,8 +78,15 @@ def _plate_pattern(pattern: PatternClass, total: int) -> PlatePattern:
     caption = f"{symbol}{' · ' * bool(symbol)}{_layers(pattern)} · {pattern.count} of {total}"
     note = f"{best.objective} {pattern.value:.4f}"
     if pattern.gap is not None:
-        note += f", {100 * pattern.gap / (pattern.gap + pattern.value):.2f}% short"
+        note += f", {_gap(pattern)} short"
     return plots.PlatePattern(upright(best.positions), best.radius, best.scan_radius, caption, note)
+
+
+def _gap(pattern: PatternClass) -> str:
+    """Writes by how much a class is below the best-known pattern, as `table.gap` does: in percent of that one."""
+    from murmurate.runs import table
+
+    return table.gap({"gap": pattern.gap, "best_known": None if pattern.gap is None else pattern.gap + pattern.value})
 
 
 def _layers(pattern_class: PatternClass) -> str:
@@ -99,7 +106,7 @@ def _print(catalogue: Catalogue, out: Path) -> None:
             pattern_class.symmetry.name,
             _layers(pattern_class),
             f"{pattern_class.representative.objective} {pattern_class.value:.4f}",
-            table.NONE if pattern_class.gap is None else f"{pattern_class.gap:.4f}",
+            _gap(pattern_class),
             f"{pattern_class.margin:.2f} R",
             ", ".join(f"{start} {count}" for start, count in pattern_class.starts.items()),
         )

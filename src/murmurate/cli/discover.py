@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from murmurate.cli.arguments import Parser, chosen_strategies
+from murmurate.cli.main import NOTHING_VALID, STATUS, TOO_FEW_VALID
 from murmurate.errors import UsageError
 from murmurate.runs.paper import ALLOWED, check_experiment
 
@@ -19,8 +20,6 @@ if TYPE_CHECKING:
     from murmurate.runs.run import Run
 
 __all__ = ["run"]
-
-NOTHING_VALID = 3
 
 EVERYDAY = (
     "--out",
@@ -43,7 +42,7 @@ def run(argv: Sequence[str]) -> int:
     """Runs the verb.
 
     Returns:
-        0, or 3 when no valid pattern was discovered.
+        0; 3 when no valid pattern was discovered; 5 when there are fewer than discovery.required_valid asks for.
     """
     word = argv[0] if argv and not argv[0].startswith("-") else None
     if word is not None:
@@ -138,7 +137,8 @@ def _parser(word: str | None, argv: Sequence[str]) -> Parser:
         folders=_module_folders(given["--config"]),
     )
     parser.add_fields(shown, aliases, skip=[leaf.path for leaf in leaves(shown) if leaf.path.startswith("modules.")])
-    parser.epilog = f"Defaults are those of experiment {word or 'C'}. A class of your own: --start.use module:Class."
+    defaults = f"Defaults are those of experiment {word or 'C'}. A class of your own: --start.use module:Class."
+    parser.epilog = f"{defaults} {STATUS}"
     return parser
 
 
@@ -193,9 +193,15 @@ def _print_results(run: Run, folder: RunFolder) -> int:
 
     summary.print_results(run, folder)
     print(f"picture: {summary.draw(folder)}")
+    share = folder.evaluation()["valid"]
     if not run.manifest["valid_pattern"]:
         print(f"No valid pattern was discovered. The run is kept in {folder.path}; try another --seed or more updates.")
         return NOTHING_VALID
+    status = 0
+    required = run.experiment.discovery.required_valid
+    if share < required:
+        status = TOO_FEW_VALID
+        print(f"Valid patterns from {share:.1%} of the starts; discovery.required_valid asks for {required:.1%}.")
     print(f"animation: murmurate show {folder.path}")
     print(f"other starts: murmurate evaluate {folder.path} --seed 1 --out {folder.path}-evaluation")
-    return 0
+    return status

@@ -1,7 +1,7 @@
 """The command `murmurate`: finds the verb, runs it, and turns what goes wrong into one line and an exit status.
 
-Exit status: 0 done, 2 bad input or an unusable run folder, 3 no valid pattern was discovered, 4 runs of a
-sweep failed, 130 interrupted.
+Exit status: 0 done, 2 bad input or an unusable run folder, 3 no valid pattern was discovered, 4 runs of a sweep failed,
+5 fewer valid patterns than `discovery.required_valid` asks for, 130 interrupted.
 """
 
 from __future__ import annotations
@@ -16,11 +16,19 @@ from typing import Any
 from murmurate import __version__, compilation_cache
 from murmurate.errors import BeyondTrainingWarning, InputError, RunError, UsageError, suggestion
 
-__all__ = ["main"]
+__all__ = ["FAILED", "NOTHING_VALID", "STATUS", "TOO_FEW_VALID", "main"]
 
 BAD_INPUT = 2
+NOTHING_VALID = 3
+FAILED = 4
+TOO_FEW_VALID = 5
 INTERRUPTED = 130  # what a shell reports for a process that SIGINT ended
 BROKEN_PIPE = 141  # and for one that SIGPIPE ended
+
+STATUS = (
+    f"Exit status: 0 done, {BAD_INPUT} bad input, {NOTHING_VALID} no valid pattern was discovered, {TOO_FEW_VALID} "
+    "fewer of them than discovery.required_valid asks for."
+)
 
 # Each verb is a module of this package with `run(argv) -> int`, imported only when it is called for.
 VERBS = {
@@ -100,6 +108,8 @@ def _help() -> str:
             "Discovers collisionless patterns in swarms of fat, opaque robots.",
             "",
             *(f"  {verb:{width}}  {text}" for verb, text in VERBS.items()),
+            "",
+            STATUS,
             "",
             "murmurate VERB --help tells more about a verb; murmurate --version prints the version.",
         ]

@@ -111,10 +111,17 @@ def _draw(recording: Recording, out: Path, options: Namespace) -> int:
 
 
 def _draw_patterns(folders: list[Path], out: Path, trust: bool) -> int:
+    """Draws the patterns of several runs, each named by its folder and the fields that tell it from the others."""
     from murmurate import plots
+    from murmurate.runs import table
 
     recordings = [plots.Recording.open(folder, trust) for folder in folders]
-    names = [recording.experiment.name for recording in recordings]
-    plots.save(plots.patterns_figure(recordings, names), out / "patterns.png")
+    names = [folder.resolve().name for folder in folders]
+    if len(set(names)) < len(names):
+        names = [str(folder) for folder in folders]
+    notes = table.differences([recording.experiment for recording in recordings])
+    for name, note in zip(names, notes, strict=True):
+        print(f"{name}{': ' * bool(note)}{note}")
+    plots.save(plots.patterns_figure(recordings, names, notes), out / "patterns.png")
     print(f"picture: {out / 'patterns.png'}")
     return 0

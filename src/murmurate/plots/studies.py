@@ -44,12 +44,15 @@ __all__ = ["Growth", "PaperPoint", "comparison_figure", "failures_figure", "grow
 # The patterns of several runs
 
 
-def patterns_figure(recordings: Sequence[Recording], labels: Sequence[str]) -> Figure:
+def patterns_figure(
+    recordings: Sequence[Recording], labels: Sequence[str], notes: Sequence[str] | None = None
+) -> Figure:
     """Draws the final patterns of several runs side by side, each to its own scale, its start beside its name.
 
     Args:
         recordings: The runs; of each, its typical episode is drawn.
         labels: What to call them.
+        notes: What else tells them apart, such as fields that differ; empty where nothing does.
 
     Returns:
         A figure 10 inches wide: one row of up to three runs, two rows of more.
@@ -61,20 +64,21 @@ def patterns_figure(recordings: Sequence[Recording], labels: Sequence[str]) -> F
         raise InputError("labels", list(labels), f"one for each of at least one run (runs: {len(recordings)})")
     rows = 1 if len(recordings) <= 3 else 2
     columns = -(-len(recordings) // rows)
-    gap, head, foot = 0.3, 0.72, 0.3
+    notes = notes or [""] * len(labels)
+    gap, head, foot = 0.3, 0.72, 0.48 if any(notes) else 0.3
     side = min(3.0, (WIDTH - 0.3 - (columns - 1) * gap) / columns)
     left = (WIDTH - columns * side - (columns - 1) * gap) / 2
     height = head + side + foot
     figure = new_page(rows * height + 0.1)
-    for index, (recording, label) in enumerate(zip(recordings, labels, strict=True)):
+    for index, (recording, label, note) in enumerate(zip(recordings, labels, notes, strict=True)):
         row, column = divmod(index, columns)
         corner = left + column * (side + gap), (rows - 1 - row) * height + foot
-        _draw_final_pattern(figure, recording, label, corner, side)
+        _draw_final_pattern(figure, recording, label, note, corner, side)
     return figure
 
 
 def _draw_final_pattern(
-    figure: Figure, recording: Recording, label: str, corner: tuple[float, float], side: float
+    figure: Figure, recording: Recording, label: str, note: str, corner: tuple[float, float], side: float
 ) -> None:
     """Draws one run's final pattern, its name above, and its start small beside the name."""
     episode, world = recording.episode(), recording.experiment.world
@@ -94,11 +98,23 @@ def _draw_final_pattern(
         style = {"fontsize": TEXT, "color": MUTED, "parse_math": False} | style
         return ax.text(style.pop("x", 0), 1 + inches / side, text, transform=ax.transAxes, **style)
 
-    name = write(0.47, label, fontsize=HEAD, fontweight="bold", color=INK)
-    write(0.47, describe_goal(recording), x=name.get_window_extent().width / ax.bbox.width + 0.03)
-    write(0.27, describe_swarm(recording))
-    write(0.09, sight, color=MUTED if complete else WARNING)
+    def fit(text: Text, right: float) -> float:
+        """Cuts a text in the middle until it ends left of a place; returns where it ends, both in panel widths."""
+        whole = kept = text.get_text()
+        while (end := (text.get_window_extent().x1 - ax.bbox.x0) / ax.bbox.width) > right and len(kept) > 3:
+            kept = kept[:-1]
+            text.set_text(f"{kept[: len(kept) // 2]}…{whole[len(whole) - (len(kept) - len(kept) // 2) :]}")
+        return end
+
+    room = 1 - (small + 0.05) / side
+    end = fit(write(0.47, label, fontsize=HEAD, fontweight="bold", color=INK), room)
+    goal = write(0.47, describe_goal(recording), x=end + 0.03)
+    if goal.get_window_extent().x1 > ax.bbox.x0 + room * ax.bbox.width:
+        goal.remove()
+    fit(write(0.27, describe_swarm(recording)), room)
+    fit(write(0.09, sight, color=MUTED if complete else WARNING), room)
     write(-side - 0.105, f"{episode.steps} steps", x=1, ha="right", va="center")
+    fit(write(-side - 0.285, note, va="center"), 1.0)
 
 
 # Growth with the swarm's size

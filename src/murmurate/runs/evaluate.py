@@ -15,7 +15,7 @@ from murmurate.analysis.optimum.best_known import BestKnown, best_known, is_reco
 from murmurate.analysis.optimum.formation import Target
 from murmurate.discovery import Trajectories, Validity, bound_steps, check_validity
 from murmurate.runs.experiment import ExperimentConfig
-from murmurate.runs.folder import RunFolder
+from murmurate.runs.folder import RunFolder, describe_starts, is_fresh
 from murmurate.runs.presets import command
 from murmurate.runs.run import Run
 from murmurate.world import Configuration, Objective
@@ -148,7 +148,8 @@ class Evaluation:
         """Returns the formation of the typical pattern, which notebooks show."""
         from murmurate.plots import Recording  # figures are drawn from evaluations
 
-        return Recording(self.experiment, self.trajectories)._repr_png_()
+        starts = "" if is_fresh({"starts": self.starts}) else describe_starts({"starts": self.starts})
+        return Recording(self.experiment, self.trajectories, starts=starts)._repr_png_()
 
 
 def evaluate(
