@@ -6,11 +6,13 @@ Exit status: 0 done, 2 bad input or an unusable run folder, 3 no valid pattern w
 
 from __future__ import annotations
 
+import contextlib
 import importlib
+import io
 import os
 import sys
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from murmurate import __version__, compilation_cache
@@ -55,7 +57,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns:
         The exit status. Errors that a user can cause are one line on stderr; any other exception is a defect and rises.
     """
-    arguments = list(sys.argv[1:] if argv is None else argv)
+    with _replacing_characters():
+        return _main(list(sys.argv[1:] if argv is None else argv))
+
+
+def _main(arguments: list[str]) -> int:
     try:
         status = _run(arguments)
         sys.stdout.flush()
@@ -73,6 +79,22 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _complain(str(error) or "interrupted", INTERRUPTED)
     except SystemExit as error:  # argparse leaves this way after printing help
         return error.code if isinstance(error.code, int) else 0
+
+
+@contextlib.contextmanager
+def _replacing_characters() -> Iterator[None]:
+    """Lets output replace what its encoding does not have: no name of a file is worth the results of an hour."""
+    streams = [stream for stream in (sys.stdout, sys.stderr) if isinstance(stream, io.TextIOWrapper)]
+    before = [stream.errors for stream in streams]
+    for stream in streams:
+        if stream.errors in ("strict", "surrogateescape"):
+            stream.reconfigure(errors="replace")
+    try:
+        yield
+    finally:
+        for stream, errors in zip(streams, before, strict=True):
+            with contextlib.suppress(ValueError):  # closed meanwhile
+                stream.reconfigure(errors=errors)
 
 
 def _run(arguments: list[str]) -> int:

@@ -119,6 +119,7 @@ def _draw_patterns(folders: list[Path], out: Path, trust: bool) -> int:
     names = [folder.resolve().name for folder in folders]
     if len(set(names)) < len(names):
         names = [str(folder) for folder in folders]
+    names = [name.encode("utf-8", "replace").decode() for name in names]  # fonts have no bytes of other encodings
     notes = table.differences([recording.experiment for recording in recordings])
     for name, note in zip(names, notes, strict=True):
         print(f"{name}{': ' * bool(note)}{note}")

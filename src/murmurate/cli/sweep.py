@@ -98,9 +98,7 @@ def _report(rows: list[dict[str, Any]], out: Path) -> int:
     done = [row for row in rows if row["status"] == "done"]
     failed = [row for row in rows if row["status"] == "failed"]
     if done:
-        results = table.results((out / row["run"] for row in done), trust=True)
-        cells = [(row["run"], *result[3:]) for row, result in zip(done, results, strict=True)]
-        print(table.as_markdown(("run", *table.RESULTS[3:]), cells), end="")
+        print(table.as_markdown(*table.side_by_side((out / row["run"] for row in done), trust=True)), end="")
     print(f"table: {out / CSV}")
     for row in failed:
         log = out / row["run"] / LOG
