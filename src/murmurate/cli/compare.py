@@ -107,15 +107,12 @@ def _write(options: Namespace, comparison: Comparison) -> None:
 
     out = Path(options.out)
     rows, commands = sorted_rows(out), load(out).get("commands", [])
-    pictures = [out / "comparison.png"]
+    pictures = [out / "comparison.png", out / "failures.png"]
     plots.save(plots.comparison_figure(rows), pictures[0])
     # Baselines fail in known ways: of interest is where learned methods do.
     learned = [row for row in rows if not is_baseline(row["method"])] or rows
-    if any(row["worst"] for row in learned):
-        world = comparison.base.world
-        worlds = {row["robots"]: scaled_to(world, row["robots"]) for row in rows}
-        pictures.append(out / "failures.png")
-        plots.save(plots.failures_figure(learned, worlds), pictures[1])
+    world = comparison.base.world
+    plots.save(plots.failures_figure(learned, {row["robots"]: scaled_to(world, row["robots"]) for row in rows}), pictures[1])
     methods = dict.fromkeys(row["method"] for row in rows if is_baseline(row["method"]))
     deviations = {method: find_baseline(method).deviations for method in methods}
     notes = [f"`{method}`: {text}" for method, text in deviations.items() if text]

@@ -14,6 +14,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 from matplotlib.text import Text
 from matplotlib.ticker import MaxNLocator
+from matplotlib.transforms import ScaledTranslation
 
 from murmurate.analysis.measures import fit_line
 from murmurate.errors import InputError, check_number
@@ -285,6 +286,9 @@ Row = Mapping[str, Any]
 
 _MARKERS = "osD^vPX"
 _METHOD_COLORS = (INK, *(policy_color(index) for index in range(5)), WARNING, MUTED)
+MARKER = 4
+DODGE = 2 * MARKER
+"""Size of a marker, and width over which methods at the same place are spread, points: half of it on either side."""
 MAX_FAILURES = 30
 """Where there are more failures than this, only the worst of each condition is drawn."""
 MAX_TICKS = 12
@@ -343,13 +347,17 @@ def failures_figure(rows: Sequence[Row], worlds: Mapping[int, WorldConfig]) -> F
         A figure 10 inches wide.
 
     Raises:
-        InputError: No row has a failure.
+        InputError: There is no row.
     """
+    if not rows:
+        raise InputError("rows", list(rows), "at least one")
     failures = [(row, failure) for row in rows for failure in row["worst"]]
     if len(failures) > MAX_FAILURES:
         failures = [(row, row["worst"][0]) for row in rows if row["worst"]]
     if not failures:
-        raise InputError("rows", len(rows), "some that have failures")
+        figure = new_page(0.55)
+        draw_head(figure, "The worst failures", f"none in {sum(row['episodes'] for row in rows):,} episodes")
+        return figure
     columns, side = 5, 1.7
     lines = math.ceil(len(failures) / columns)
     figure = new_page(0.55 + lines * (side + 0.55))
@@ -378,18 +386,22 @@ def _condition(row: Row) -> str:
 
 
 def _draw_methods(ax: Axes, rows: Sequence[Row], looks: Mapping[str, Mapping[str, Any]]) -> None:
-    """Draws one line for each method, shifted a little so that intervals do not cover each other."""
+    """Draws one line for each method, shifted by a marker at most so that intervals do not cover each other."""
     sizes = sorted({row["robots"] for row in rows})
     shown = [method for method in looks if any(row["method"] == method for row in rows)]
     for index, method in enumerate(shown):
         points = sorted((row for row in rows if row["method"] == method), key=lambda row: row["robots"])
-        x = np.array([sizes.index(row["robots"]) for row in points]) + 0.06 * (index - (len(shown) - 1) / 2)
+        x = np.array([sizes.index(row["robots"]) for row in points])
+        # In points, not in robots: however many methods there are, each stays over the number that it has.
+        aside = DODGE * (index / (len(shown) - 1) - 0.5) if len(shown) > 1 else 0.0
+        shift = ScaledTranslation(aside / 72, 0, ax.figure.dpi_scale_trans)
         share = np.array([100 * row["valid"] / row["episodes"] for row in points])
         low, high = 100 * np.array([row["interval"] for row in points]).T
         leading = method == next(iter(looks))
         weight: dict[str, Any] = {"linewidth": 1.6 if leading else 1.0, "zorder": 4 if leading else 3}
         error = np.abs([share - low, high - share])
-        ax.errorbar(x, share, yerr=error, markersize=4, elinewidth=0.8, **weight, **looks[method])
+        place: dict[str, Any] = {"markersize": MARKER, "elinewidth": 0.8, "transform": ax.transData + shift}
+        ax.errorbar(x, share, yerr=error, **place, **weight, **looks[method])
     ax.set(xlim=(-0.5, len(sizes) - 0.5), ylim=(-4, 104))
     # Where there is no room for every number, every other one, the last among them.
     stride = -(-len(sizes) // MAX_TICKS)
