@@ -99,9 +99,7 @@ def test_episodes_with_a_collision_or_outside_the_world_are_left_out(recorded):
 def test_robots_that_are_too_large_or_too_slow_are_refused_with_what_would_do(recorded):
     folder = recorded([straight()], [4])
     Waypoints.from_run(folder, Scale(metres=0.1, robot_radius=0.2499, robot_speed=0.0501))
-    with pytest.raises(
-        InputError, match=r"--robot-radius = 0\.251: must be less than 0\.25 m.*--scale above 0\.1004"
-    ):
+    with pytest.raises(InputError, match=r"--robot-radius = 0\.251: must be less than 0\.25 m.*--scale above 0\.1004"):
         Waypoints.from_run(folder, Scale(metres=0.1, robot_radius=0.251))
     with pytest.raises(InputError, match=r"--robot-speed = 0\.025: must be at least 0\.05 m/s; or --period at least 2"):
         Waypoints.from_run(folder, Scale(metres=0.1, robot_speed=0.025))

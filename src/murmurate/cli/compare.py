@@ -111,8 +111,8 @@ def _write(options: Namespace, comparison: Comparison) -> None:
     plots.save(plots.comparison_figure(rows), pictures[0])
     # Baselines fail in known ways: of interest is where learned methods do.
     learned = [row for row in rows if not is_baseline(row["method"])] or rows
-    world = comparison.base.world
-    plots.save(plots.failures_figure(learned, {row["robots"]: scaled_to(world, row["robots"]) for row in rows}), pictures[1])
+    worlds = {row["robots"]: scaled_to(comparison.base.world, row["robots"]) for row in rows}
+    plots.save(plots.failures_figure(learned, worlds), pictures[1])
     methods = dict.fromkeys(row["method"] for row in rows if is_baseline(row["method"]))
     deviations = {method: find_baseline(method).deviations for method in methods}
     notes = [f"`{method}`: {text}" for method, text in deviations.items() if text]

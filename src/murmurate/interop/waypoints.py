@@ -144,7 +144,8 @@ class Waypoints:
         speed, fastest = self.scale.robot_speed, self.fastest
         if speed is not None and fastest > speed:
             period = self.scale.seconds * fastest / speed
-            raise InputError("--robot-speed", speed, f"at least {_at_least(fastest)} m/s; or --period at least {_at_least(period)}")
+            allowed = f"at least {_at_least(fastest)} m/s; or --period at least {_at_least(period)}"
+            raise InputError("--robot-speed", speed, allowed)
         if self.nearest <= 2 * self.radius:
             scale = self.scale.metres * 2 * self.radius / self.nearest
             allowed = f"less than {_at_most(self.nearest / 2)} m, as centres come; or --scale above {_at_least(scale)}"
@@ -179,7 +180,8 @@ class Waypoints:
         rows.writerow(COLUMNS)
         for episode, times, positions in zip(self.episodes, self.times, self.positions, strict=True):
             for time, configuration in zip(times, positions, strict=True):
-                rows.writerows((episode, _exact(time), robot, *map(_exact, at)) for robot, at in enumerate(configuration))
+                points = enumerate(configuration)
+                rows.writerows((episode, _exact(time), robot, *map(_exact, at)) for robot, at in points)
         return text.getvalue()
 
     def as_dict(self) -> dict[str, Any]:

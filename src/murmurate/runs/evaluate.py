@@ -14,6 +14,7 @@ from jaxtyping import Float
 from murmurate.analysis.optimum.best_known import BestKnown, best_known, is_record
 from murmurate.analysis.optimum.formation import Target
 from murmurate.discovery import Trajectories, Validity, bound_steps, check_validity
+from murmurate.errors import check_path, check_type
 from murmurate.runs.experiment import ExperimentConfig
 from murmurate.runs.folder import RunFolder, describe_starts, is_fresh
 from murmurate.runs.presets import command
@@ -135,6 +136,8 @@ class Evaluation:
         Raises:
             RunError: A file cannot be written.
         """
+        if not isinstance(folder, RunFolder):
+            check_path("folder", folder)
         record = self.record()
         target = folder if isinstance(folder, RunFolder) else RunFolder(folder)
         target.write_evaluation(self.summary(), self.arrays(), None if record is None else record.to_dict())
@@ -171,6 +174,7 @@ def evaluate(
     Raises:
         InputError: A start has another shape, is in contact or lies outside the world.
     """
+    check_type("run", run, Run, "a run, such as murmurate.load(folder)")
     trajectories = run.rollout(episodes if starts is None else starts, seed)
     experiment, first, final = run.experiment, trajectories.positions[:, 0], trajectories.final
     bound = [bound_steps(*ends, experiment.world.max_speed) for ends in zip(first, final, strict=True)]
