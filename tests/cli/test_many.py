@@ -24,7 +24,13 @@ def test_seeds_are_runs_of_their_own_and_fill_one_catalogue(tiny_toml, discovere
         assert (tmp_path / "tiny-central-seed0" / file).read_bytes() == (discovered / file).read_bytes()
     data = json.loads((tmp_path / "tiny-central-catalogue" / "catalogue.json").read_text())
     assert {finding["seed"] for finding in data["findings"]} == {0, 1}
-    out = capsys.readouterr().out
+    out, err = capsys.readouterr()
+    lines = [line.partition("  ")[0] for line in err.splitlines()]
+    for seed in (0, 1):
+        for work in ("base policy", "auxiliary policy"):
+            assert lines.count(f"tiny-central-seed{seed}: {work}: 2/4") == 1
+            assert lines.count(f"tiny-central-seed{seed}: {work}: 4/4") == 1
+        assert lines.count(f"tiny-central-seed{seed}: evaluation: 200/200") == 1
     assert out.count("| tiny | central |") == 2
     assert "plate: " in out
 

@@ -94,7 +94,7 @@ def test_a_size_beyond_training_warns_once_and_goes_on():
 
 def test_the_command_line_warns_in_one_line(tmp_path, capsys):
     words = ["compare", "--methods", "learned", "--robots", "30", "--episodes", "1", "--out", str(tmp_path / "out")]
-    assert main(words) == 0
+    assert main([*words, "--quiet"]) == 0
     assert (
         capsys.readouterr().err
         == "murmurate: warning: robots = 30: trained were swarms of 3 to 28; others may do worse\n"

@@ -31,15 +31,22 @@ def run(argv: Sequence[str]) -> int:
     parser.add_argument("--no-reflection", action="store_true", help="mirror images are different patterns")
     text = "import the modules that the runs name, which executes them"
     parser.add_argument("--trust", action="store_true", help=text)
+    parser.add_argument("--quiet", action="store_true", help="do not show the progress")
     options, _ = parser.parse(argv)
     if options.tolerance is not None:
         check_number("--tolerance", options.tolerance, 0, MAX_MAGNITUDE, exclusive_low=True)
     from murmurate.analysis import Catalogue
+    from murmurate.cli.progress import Progress
     from murmurate.runs import catalogues
 
     out = Path(options.out)
     catalogues.check_target(out)
-    findings = [finding for word in options.runs for finding in catalogues.read_findings(word, options.trust)]
+    findings = []
+    with Progress(quiet=options.quiet) as progress:
+        for index, word in enumerate(options.runs, 1):
+            findings += catalogues.read_findings(word, options.trust)
+            patterns = "valid pattern" if len(findings) == 1 else "valid patterns"
+            progress.update("runs read", index, len(options.runs), found=f"{len(findings)} {patterns}")
     if not findings:
         raise RunError(f"no valid pattern was found in {', '.join(options.runs)}")
     scaling, reflection = not options.no_scaling, not options.no_reflection

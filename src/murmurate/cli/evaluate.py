@@ -22,11 +22,13 @@ def run(argv: Sequence[str]) -> int:
     parser.add_argument("--starts", metavar="FILE.csv", help="start,x,y: one row a robot, every start in file order")
     parser.add_argument("--out", metavar="DIR", help="leave RUN as it is, and write a copy with the new evaluation")
     parser.add_argument("--trust", action="store_true", help="import the modules that RUN names, which executes them")
+    parser.add_argument("--quiet", action="store_true", help="do not show the progress")
     options, _ = parser.parse(argv)
 
     import numpy as np
 
     from murmurate.cli import summary
+    from murmurate.cli.progress import Progress
     from murmurate.runs import evaluate
     from murmurate.runs.folder import RunFolder
     from murmurate.runs.run import Run, check_draw
@@ -48,7 +50,8 @@ def run(argv: Sequence[str]) -> int:
         if (options.episodes or 0) > len(starts):
             raise InputError("--episodes", options.episodes, f"at most the {len(starts)} starts of {options.starts}")
         starts = starts[: options.episodes]
-    result = evaluate.evaluate(opened, episodes, seed, starts, file)
+    with Progress(quiet=options.quiet) as progress:
+        result = evaluate.evaluate(opened, episodes, seed, starts, file, on_progress=progress.update)
     if is_copy:
         folder.copy_to(target)
     result.save(target)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -161,6 +162,7 @@ def evaluate(
     seed: int = SEED,
     starts: Float[np.ndarray, "episodes robots 2"] | None = None,
     file: str | None = None,
+    on_progress: Callable[..., None] | None = None,
 ) -> Evaluation:
     """Executes a run's cascade and checks every episode by its recorded positions.
 
@@ -170,24 +172,30 @@ def evaluate(
         seed: Seed of the starts, of the robots' frames, of noise and of the scheduler.
         starts: Configurations to begin at instead of fresh ones, world units.
         file: Name of the file that those are from, for the record.
+        on_progress: Called as `on_progress(work, done, total, **values)` before and after each part of the work.
 
     Raises:
         InputError: A start has another shape, is in contact or lies outside the world.
     """
     check_type("run", run, Run, "a run, such as murmurate.load(folder)")
+    report, count = on_progress or (lambda *_, **__: None), episodes if starts is None else len(starts)
+    report("episodes executed", 0, count)
     trajectories = run.rollout(episodes if starts is None else starts, seed)
+    report("episodes executed", count, count)
     experiment, first, final = run.experiment, trajectories.positions[:, 0], trajectories.final
     bound = [bound_steps(*ends, experiment.world.max_speed) for ends in zip(first, final, strict=True)]
     if starts is None:
         source = {"kind": "fresh"}
     else:
         source = {"kind": "given"} if file is None else {"kind": "file", "name": file}
+    validity = check_validity(trajectories, experiment.world, experiment.thresholds)
+    report("episodes checked", count, count, valid=float(validity.valid.mean()))
     return Evaluation(
         experiment=experiment,
         seed=seed,
         starts=source,
         trajectories=trajectories,
-        validity=check_validity(trajectories, experiment.world, experiment.thresholds),
+        validity=validity,
         bound=np.array(bound),
     )
 
