@@ -18,6 +18,18 @@ def folder(recording, tmp_path_factory):
     return write_run(recording, RunFolder(tmp_path_factory.mktemp("runs") / "C"))
 
 
+FRACTIONS = ("valid", "contact_free", "inside", "mutually_visible", "gathered", "safe", "at_rest")
+STEPS = ("base_steps", "auxiliary_steps", "total_steps", "bound_steps")
+SUMMARY = {
+    "starts": {"kind": "fresh"},
+    "episodes": 5,
+    "valid_interval": [0.5, 1.0],
+    "signal": {},
+    "failures": [],
+    **dict.fromkeys((*FRACTIONS, *STEPS), 1.0),
+}
+
+
 def write_run(recording, folder):
     """Writes a finished run that holds a recording."""
     folder.create()
@@ -34,7 +46,7 @@ def write_run(recording, folder):
         for update in range(len(curve.environment_steps))
     )
     folder.write_policies([{"weight": np.zeros(1)}] * 2)
-    folder.write_evaluation({}, arrays_of(recording.trajectories))
+    folder.write_evaluation(SUMMARY, arrays_of(recording.trajectories))
     folder.write_manifest({}, policies=2)
     return folder.path
 
@@ -62,7 +74,7 @@ def test_what_cannot_be_drawn_is_one_line(recording, change, tmp_path):
         plots.Recording.open(tmp_path / "nowhere")
     run = RunFolder(write_run(recording, RunFolder(tmp_path / "run")))
     diverged = change(recording, positions=np.full_like(recording.trajectories.positions, np.nan))
-    run.write_evaluation({}, arrays_of(diverged.trajectories))
+    run.write_evaluation(SUMMARY, arrays_of(diverged.trajectories))
     with pytest.raises(RunError, match=r"trajectories\.npz has .* not finite"):
         plots.Recording.open(run)
     (run.path / "trajectories.npz").unlink()

@@ -101,9 +101,9 @@ class Recording:
         """
         folder = RunFolder(run)
         folder.verify()
-        summary = folder.evaluation()
+        experiment, trajectories, summary = folder.experiment(trust), folder.trajectories(), folder.evaluation()
         starts = "" if is_fresh(summary) else describe_starts(summary)
-        return cls(folder.experiment(trust), folder.trajectories(), _curves(folder.metrics()), starts)
+        return cls(experiment, trajectories, _curves(folder.metrics()), starts)
 
     def __repr__(self) -> str:
         return f"Recording({self.experiment.name}: {self.trajectories!r})"
