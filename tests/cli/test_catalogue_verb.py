@@ -22,7 +22,7 @@ def second(tmp_path_factory):
 
 
 def refused(capsys, words, *parts):
-    assert main(["catalogue", *map(str, words)]) == 2
+    assert main(["catalogue", *map(str, words), "--quiet"]) == 2
     out, err = capsys.readouterr()
     assert out == ""
     assert err.count("\n") == 1
