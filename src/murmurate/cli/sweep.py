@@ -98,7 +98,8 @@ def _report(rows: list[dict[str, Any]], out: Path) -> int:
     done = [row for row in rows if row["status"] == "done"]
     failed = [row for row in rows if row["status"] == "failed"]
     if done:
-        print(table.as_markdown(*table.side_by_side((out / row["run"] for row in done), trust=True)), end="")
+        names = [row["run"] for row in done]
+        print(table.as_markdown(*table.side_by_side([out / name for name in names], True, names)), end="")
     print(f"table: {out / CSV}")
     for row in failed:
         log = out / row["run"] / LOG

@@ -98,12 +98,15 @@ def comparison(summary: Mapping[str, Any], row: PaperExperiment | None) -> tuple
     return (header, "paper", "this run"), [(name, paper.get(name, NONE), ours) for name, ours in rows]
 
 
-def side_by_side(folders: Iterable[str | Path], trust: bool = False) -> tuple[Row, list[Row]]:
+def side_by_side(
+    folders: Iterable[str | Path], trust: bool = False, names: Sequence[str] | None = None
+) -> tuple[Row, list[Row]]:
     """Returns finished runs as a table that tells them apart: by the folder, and by the fields in which they differ.
 
     Args:
         folders: The run folders.
         trust: Whether modules that the runs' configurations name may be imported.
+        names: What to call the runs instead of by their folders.
 
     Returns:
         The header and the rows; the paper's column is left out where it is empty.
@@ -115,8 +118,8 @@ def side_by_side(folders: Iterable[str | Path], trust: bool = False) -> tuple[Ro
     fields = differences([RunFolder(folder).experiment(trust) for folder in folders])
     header = ["run", *RESULTS[:3], "fields", *RESULTS[3:]]
     rows = [
-        [str(folder), *row[:3], text or NONE, *row[3:]]
-        for folder, text, row in zip(folders, fields, results(folders, trust), strict=True)
+        [name, *row[:3], text or NONE, *row[3:]]
+        for name, text, row in zip(names or map(str, folders), fields, results(folders, trust), strict=True)
     ]
     for name in ("fields", "paper's total"):
         column = header.index(name)
