@@ -5,7 +5,12 @@ from __future__ import annotations
 import sys
 
 import numpy as np
-import onnxruntime
+
+try:
+    import onnxruntime
+except ModuleNotFoundError as error:  # the extra is not installed
+    print(f'onnx_robots.py: {error}; pip install "murmurate[onnx]"', file=sys.stderr)
+    sys.exit(2)
 
 
 def main(path: str, robots: int | None = None, spacing: float = 6.0, max_steps: int = 3000) -> np.ndarray:
@@ -27,4 +32,9 @@ def main(path: str, robots: int | None = None, spacing: float = 6.0, max_steps: 
 
 
 if __name__ == "__main__":
-    print(main(sys.argv[1], *map(int, sys.argv[2:3])))
+    try:
+        path, robots = sys.argv[1], [int(word) for word in sys.argv[2:3]]
+    except (IndexError, ValueError):
+        print("usage: python examples/onnx_robots.py MODEL.onnx [ROBOTS]", file=sys.stderr)
+        sys.exit(2)
+    print(main(path, *robots))

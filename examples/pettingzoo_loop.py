@@ -5,10 +5,17 @@
 
 from __future__ import annotations
 
+import sys
+
 import numpy as np
 
-from murmurate.interop.pettingzoo import parallel_env
 from murmurate.world import VisibleSensing
+
+try:
+    from murmurate.interop.pettingzoo import parallel_env
+except ModuleNotFoundError as error:  # the extra is not installed
+    print(f"pettingzoo_loop.py: {error}", file=sys.stderr)
+    sys.exit(2)
 
 PREFERRED_DISTANCE = 6.0
 """Distance that a robot tries to keep, world units."""

@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
-import gymnasium
+import sys
 
-from murmurate.interop.gymnasium import ENV_ID
+try:
+    import gymnasium
+
+    from murmurate.interop.gymnasium import ENV_ID
+except ModuleNotFoundError as error:  # the extra is not installed
+    print(f'random_agent.py: {error}; pip install "murmurate[gymnasium]"', file=sys.stderr)
+    sys.exit(2)
 
 
 def main(robots: int = 6, episodes: int = 5, horizon: int = 100, seed: int = 0) -> list[int]:

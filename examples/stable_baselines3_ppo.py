@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
-from stable_baselines3 import PPO
-from stable_baselines3.common.env_util import make_vec_env
-from stable_baselines3.common.evaluation import evaluate_policy
-from stable_baselines3.common.vec_env import VecNormalize
+import sys
 
-from murmurate.interop.gymnasium import ENV_ID
+try:
+    from stable_baselines3 import PPO
+    from stable_baselines3.common.env_util import make_vec_env
+    from stable_baselines3.common.evaluation import evaluate_policy
+    from stable_baselines3.common.vec_env import VecNormalize
+
+    from murmurate.interop.gymnasium import ENV_ID
+except ModuleNotFoundError as error:  # the extra is not installed
+    print(f'stable_baselines3_ppo.py: {error}; pip install "murmurate[gymnasium,sb3]"', file=sys.stderr)
+    sys.exit(2)
 
 
 def main(robots: int = 4, steps: int = 200_000, envs: int = 8, horizon: int = 150, seed: int = 0) -> float:

@@ -6,11 +6,18 @@ the origin. Patterns without collisions are what `murmurate discover` is for.
 
 from __future__ import annotations
 
-import gymnasium
-import numpy as np
-from gymnasium.vector import AutoresetMode
+import sys
 
-from murmurate.interop.gymnasium import ENV_ID
+import numpy as np
+
+try:
+    import gymnasium
+    from gymnasium.vector import AutoresetMode
+
+    from murmurate.interop.gymnasium import ENV_ID
+except ModuleNotFoundError as error:  # the extra is not installed
+    print(f'vector_loop.py: {error}; pip install "murmurate[gymnasium]"', file=sys.stderr)
+    sys.exit(2)
 
 DEVIATION, DISCOUNT, RATE = 0.5, 0.9, 0.05
 

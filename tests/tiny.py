@@ -21,7 +21,7 @@ TINY = {
     "policy": {"kind": "central", "hidden": [8, 8]},
     "base": _STAGE,
     "auxiliary": _STAGE,
-    "discovery": {"sigma": 8, "episodes": 8, "chunk": 2, "max_policies": 2},
+    "discovery": {"sigma": 8, "episodes": 8, "chunk": 2, "max_policies": 2, "required_valid": 0.5},
     "rest": {"max_steps": 20, "tolerance": 0.05},  # whatever was learned, it comes to rest at once
 }
 

@@ -6,12 +6,13 @@ Names and submodules are imported when they are first used: `import murmurate` l
 from __future__ import annotations
 
 import importlib
+from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
+import murmurate  # annotations name its lazy classes, so that they can be resolved
 
+if TYPE_CHECKING:
     from murmurate import (
         analysis,
         discovery,
@@ -106,13 +107,13 @@ __all__ = [
 
 
 def discover(
-    experiment: str | Path | ExperimentConfig,
+    experiment: str | Path | murmurate.ExperimentConfig,
     *,
     out: str | Path | None = None,
     resume: bool = False,
     on_progress: Callable[..., None] | None = None,
     **fields: Any,
-) -> Run:
+) -> murmurate.Run:
     """Trains the policies of an experiment, evaluates them and leaves a run folder.
 
     Args:
@@ -133,10 +134,13 @@ def discover(
     Example:
         >>> run = murmurate.discover("F", seed=1, base={"ppo": {"updates": 20}})  # doctest: +SKIP
     """
-    from pathlib import Path
-
     from murmurate import compilation_cache
+    from murmurate.errors import InputError, check_path
 
+    if out is not None:
+        check_path("out", out)
+    if on_progress is not None and not callable(on_progress):
+        raise InputError("on_progress", on_progress, "a function on_progress(work, done, total, **values)")
     compilation_cache.configure()
     from murmurate.runs.train import discover as train  # only now, because it loads JAX
 
@@ -145,7 +149,7 @@ def discover(
     return train(config, folder, resume, on_progress)
 
 
-def experiment(name: str | Path | ExperimentConfig, **fields: Any) -> ExperimentConfig:
+def experiment(name: str | Path | murmurate.ExperimentConfig, **fields: Any) -> murmurate.ExperimentConfig:
     """Returns the configuration of an experiment with some fields replaced; see `discover`.
 
     Raises:
@@ -154,7 +158,7 @@ def experiment(name: str | Path | ExperimentConfig, **fields: Any) -> Experiment
     return _resolve(name, fields)
 
 
-def load(folder: str | Path, trust: bool = False) -> Run:
+def load(folder: str | Path, trust: bool = False) -> murmurate.Run:
     """Opens the folder of a finished run.
 
     Args:
@@ -166,6 +170,7 @@ def load(folder: str | Path, trust: bool = False) -> Run:
         The run: its experiment, world and cascade, and `rollout(starts, key)`.
 
     Raises:
+        InputError: `folder` is no path.
         RunError: The folder is missing, unfinished, damaged or of an unknown version, or names modules and is not
             trusted.
     """
@@ -177,7 +182,7 @@ def load(folder: str | Path, trust: bool = False) -> Run:
     return Run.open(folder, trust)
 
 
-def pretrained(objective: str = "C2", sensing: str = "visible", scheduler: str = "fsync") -> Run:
+def pretrained(objective: str = "C2", sensing: str = "visible", scheduler: str = "fsync") -> murmurate.Run:
     """Opens weights that come with the package: one policy for swarms of any size, ready to use.
 
     Args:
@@ -200,9 +205,7 @@ def pretrained(objective: str = "C2", sensing: str = "visible", scheduler: str =
     return weights.pretrained(objective, sensing, scheduler)
 
 
-def _resolve(experiment: str | Path | ExperimentConfig, fields: dict[str, Any]) -> ExperimentConfig:
-    from pathlib import Path
-
+def _resolve(experiment: str | Path | murmurate.ExperimentConfig, fields: dict[str, Any]) -> murmurate.ExperimentConfig:
     from murmurate.runs import config_io, presets
 
     dotted = {name: value for name, value in fields.items() if "." in name}
@@ -211,7 +214,7 @@ def _resolve(experiment: str | Path | ExperimentConfig, fields: dict[str, Any]) 
     return presets.resolve(experiment, overlay, folders=[Path.cwd()])
 
 
-def _file_name(config: ExperimentConfig) -> str:
+def _file_name(config: murmurate.ExperimentConfig) -> str:
     """Returns the policy's name as part of a folder's name."""
     return config.policy.name.replace(":", ".")
 

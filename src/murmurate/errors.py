@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import difflib
 import math
+import os
 import reprlib
 from collections.abc import Iterable, Sequence
 from numbers import Integral, Real
@@ -18,6 +19,8 @@ __all__ = [
     "UsageError",
     "check_choice",
     "check_number",
+    "check_path",
+    "check_type",
     "one_line",
     "printable",
     "shown",
@@ -148,6 +151,32 @@ def check_choice(field: str, value: object, choices: Sequence[str]) -> None:
     """
     if value not in choices:
         raise InputError(field, value, f"one of {', '.join(choices)}")
+
+
+def check_path(field: str, value: object) -> None:
+    """Checks a path that was given in Python.
+
+    Raises:
+        InputError: It is neither text nor a path.
+    """
+    if not isinstance(value.__fspath__() if isinstance(value, os.PathLike) else value, str):
+        raise InputError(field, value, "a path")
+
+
+def check_type(field: str, value: object, kind: type, words: str) -> None:
+    """Checks the type of an argument.
+
+    Args:
+        field: The argument.
+        value: What was given.
+        kind: The type that it must have.
+        words: What that is, in words.
+
+    Raises:
+        InputError: It is of another type.
+    """
+    if not isinstance(value, kind):
+        raise InputError(field, value, words)
 
 
 def suggestion(word: str, known: Iterable[str]) -> str:

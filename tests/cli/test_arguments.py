@@ -59,6 +59,7 @@ def parser():
     parser.add_argument("experiment", metavar="EXPERIMENT", help="Its name.")
     parser.add_argument("--out", metavar="DIR", help="Output folder.")
     parser.add_argument("--resume", action="store_true", help="Continue.")
+    parser.add_argument("--count", type=int, metavar="INT", default=1)
     parser.add_fields(Experiment(), aliases={"policy.kind": "--policy"}, skip=["name"])
     return parser
 
@@ -66,7 +67,7 @@ def parser():
 def test_fields_and_own_arguments(parser):
     words = "--world.radius 2 A --policy central --resume --seed=3 --policy.hidden 8,9 --policy.clip none --out here"
     options, data = parser.parse(words.split())
-    assert vars(options) == {"experiment": "A", "out": "here", "resume": True}
+    assert vars(options) == {"experiment": "A", "out": "here", "resume": True, "count": 1}
     assert data == {
         "seed": 3,
         "world": {"radius": 2.0},
@@ -97,8 +98,12 @@ def test_negative_numbers_are_values(parser, value):
         ("A --world.rad 1", "unknown flag --world.rad; did you mean --world.radius?"),
         ("", "the following arguments are required: EXPERIMENT (see murmurate discover --help)"),
         ("A B", "unrecognized arguments: B"),
-        ("A --world.radius", "argument --world.radius: expected one argument"),
-        ("A --resume=1", "argument --resume: ignored explicit argument '1'"),
+        ("A --world.radius", "--world.radius needs a value, such as --world.radius 1.0 (see murmurate discover"),
+        ("A --world.radius --resume", "--world.radius needs a value, such as --world.radius 1.0"),
+        ("A --policy.shared", "--policy.shared needs a value, such as --policy.shared true"),
+        ("A --policy", "--policy.kind needs a value, such as --policy.kind equivariant"),
+        ("A --out", "--out needs a value: --out DIR"),
+        ("A --resume=1", "--resume takes no value"),
     ],
 )
 def test_usage_errors_are_one_line(parser, words, line, capsys):
@@ -116,6 +121,14 @@ def test_usage_errors_are_one_line(parser, words, line, capsys):
         ("A --policy centrl", "policy.kind = 'centrl': must be one of central, equivariant"),
         ("A --seed 1.5", "seed = '1.5': must be an integer"),
         ("A --policy.shared yes", "policy.shared = 'yes': must be true or false"),
+        (
+            "A --policy.hidden 32x16",
+            "policy.hidden = '32x16': must be integers, separated by commas, such as 32,16",
+        ),
+        ("A --world.radius 1,2", "world.radius = '1,2': must be a number without commas, such as 1.2"),
+        ("A --world.radius 1,2,3", "world.radius = '1,2,3': must be a number without commas, such as 123"),
+        ("A --seed 1,000", "seed = '1,000': must be an integer without commas, such as 1000"),
+        ("A --count x", "--count = 'x': must be an integer"),
     ],
 )
 def test_wrong_values_are_those_of_the_fields(parser, words, line):
@@ -143,3 +156,24 @@ def test_help_is_grouped_with_defaults(parser, capsys, monkeypatch):
     ):
         assert part in text
     assert "--name" not in text
+
+
+def test_a_short_help_shows_everyday_flags_and_says_how_to_see_the_rest(capsys):
+    parser = Parser("discover", "EXPERIMENT", "Trains.", everyday=("--out", "--policy", "--seed"))
+    parser.add_argument("experiment", metavar="EXPERIMENT", help="Its name.")
+    parser.add_argument("--out", metavar="DIR", help="Output folder.")
+    parser.add_argument("--resume", action="store_true", help="Continue.")
+    parser.add_fields(Experiment(), aliases={"policy.kind": "--policy"}, skip=["name"])
+    shown = {}
+    for flag in ("--help", "--help-all"):
+        with pytest.raises(SystemExit) as stop:
+            parser.parse([flag])
+        assert stop.value.code == 0
+        shown[flag] = " ".join(capsys.readouterr().out.split())
+    for part in ("EXPERIMENT", "--out", "--policy", "--seed"):
+        assert part in shown["--help"]
+    for part in ("--resume", "--world.radius", "Sizes of the world.", "--policy.hidden"):
+        assert part not in shown["--help"]
+        assert part in shown["--help-all"]
+    assert "All flags, one for every field of the configuration: murmurate discover --help-all" in shown["--help"]
+    assert "All flags" not in shown["--help-all"]

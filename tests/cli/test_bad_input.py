@@ -43,10 +43,12 @@ def contents(folder):
     ("words", "line"),
     [
         ("discover", "the following arguments are required: EXPERIMENT"),
-        ("discover G", "experiment = 'G': must be one of A, B, C, D, E, F, or an existing TOML file"),
+        ("discover G", "experiment = 'G': must be one of A, B, C, D, E, F, or a TOML file"),
         ("discover --seed 1 G", "experiment = 'G': must be one of"),
-        ("discover c", "or an existing TOML file; did you mean C?"),
-        ("discover missing.toml", "experiment = 'missing.toml': must be one of"),
+        ("discover c", "or a TOML file; did you mean C?"),
+        ("discover missing.toml", "experiment = 'missing.toml': must be an existing TOML file: no such file"),
+        ("optimum missing.toml", "experiment = 'missing.toml': must be an existing TOML file: no such file"),
+        ("experiments missing.toml", "experiment = 'missing.toml': must be an existing TOML file: no such file"),
         ("discover C --config missing.toml", "missing.toml: No such file or directory"),
         ("discover C --seeed 1", "unknown flag --seeed; did you mean --seed"),
         ("discover C --world.radus 1", "unknown flag --world.radus; did you mean --world.radius?"),
@@ -78,14 +80,24 @@ def contents(folder):
         ("evaluate", "the following arguments are required: RUN"),
         ("evaluate none", "none holds no run"),
         ("evaluate none --episodes 0", "episodes = 0: must be an integer >= 1 and <= 10000"),
-        ("evaluate none --episodes many", "argument --episodes: invalid int value: 'many'"),
+        ("evaluate none --episodes many", "--episodes = 'many': must be an integer"),
         ("discover C --from none", "none holds no run"),
         ("discover C --from none --seeds 2", "--from is for one run: give it without --seeds and --vary"),
         ("evaluate none --seed -1", "seed = -1: must be an integer from 0 to"),
         ("show none", "none holds no run"),
         ("show none none", "of several runs, only the patterns are drawn"),
         ("table none", "none holds no run"),
-        ("experiments G", "experiment = 'G': must be one of"),
+        ("discover C --policy.hidden 32x16", "policy.hidden = '32x16': must be integers, separated by commas, such as"),
+        ("discover C --world.radius 1,2", "world.radius = '1,2': must be a number without commas, such as 1.2"),
+        ("discover C --sensing.rotation", "--sensing.rotation needs a value, such as --sensing.rotation true"),
+        ("discover C --world.half_width 4", "or make world.half_width = 4 or world.half_height = 45 larger"),
+        ("discover C --world.half_width 4 --start.use symmetric --policy local", "or make world.half_width = 4 or"),
+        (
+            "discover C --world.max_speed 500",
+            "world.max_speed = 500.0: must be at most 90, the longer side of the world: no step inside it is longer",
+        ),
+        ("experiments G", "experiment = 'G': must be one of A, B, C, D, E, F, or a TOML file"),
+        ("experiments --learner best", "--learner is for one experiment: give its name"),
         ("experiments A --learner best", "learner = 'best': must be one of"),
     ],
 )
@@ -120,6 +132,14 @@ def test_bad_experiment_files(refused, tmp_path, text, line):
         (START.replace("start,x,y", "start,x,z"), "must be a table with the header start,x,y"),
         (START.replace("-5", "left"), "mine.csv line 2: x = 'left': must be a finite number"),
         (START.replace("-5", "nan"), "mine.csv line 2: x = 'nan': must be a finite number"),
+        (START + "0,-10,5,3,25\n", "mine.csv line 5: row = '0,-10,5,3,25': must be of 3 cells, as the header is"),
+        (
+            START.replace("start,x,y", "start,x,x,y"),
+            "line 1: header = 'start,x,x,y': must be without a second column x",
+        ),
+        (START.replace("start,x,y", "start,x,y,start"), "must be without a second column start"),
+        (START.replace("\n0,", "\n7,").replace("-5", "-50"), "mine.csv: start 7 = 'a robot outside'"),
+        (START.replace("\n0,", "\n7,").replace("-5", "-1.5"), "mine.csv: start 7 = 'overlapping robots'"),
         (START.replace("-5", "-1.5"), "mine.csv: start 0 = 'overlapping robots'"),
         (START.replace("-5", "-50"), "mine.csv: start 0 = 'a robot outside'"),
         ("start,x,y\n", "must be at least one start"),
@@ -127,11 +147,21 @@ def test_bad_experiment_files(refused, tmp_path, text, line):
         ("\0\1\2", "mine.csv"),
     ],
 )
-def test_bad_files_of_starts(refused, discovered, tmp_path, text, line):
+def test_bad_files_of_starts(refused, discovered, tiny_toml, tmp_path, text, line):
     (tmp_path / "mine.csv").write_text(text)
     before = contents(discovered)
     assert line in refused("evaluate", discovered, "--starts", "mine.csv", files=1)
     assert contents(discovered) == before
+    assert line in refused("discover", tiny_toml, "--start.use", "file", "--start.file", "mine.csv", files=1)
+
+
+def test_an_experiment_is_a_name_or_a_toml_file(refused, tmp_path):
+    (tmp_path / "mine").write_text("")
+    assert "experiment = 'mine': must be one of A, B, C, D, E, F, or a TOML file, whose name ends in .toml" in refused(
+        "discover", "mine", files=1
+    )
+    (tmp_path / "dir.toml").mkdir()
+    assert "must be an existing TOML file: it is a folder" in refused("discover", "dir.toml", files=2)
 
 
 def test_more_episodes_than_a_file_of_starts_has(refused, discovered, tmp_path):

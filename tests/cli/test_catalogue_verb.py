@@ -23,7 +23,7 @@ def second(tmp_path_factory):
 
 
 def refused(capsys, words, *parts):
-    assert main(["catalogue", *map(str, words)]) == 2
+    assert main(["catalogue", *map(str, words), "--quiet"]) == 2
     out, err = capsys.readouterr()
     assert out == ""
     assert err.count("\n") == 1
@@ -82,11 +82,11 @@ def test_without_scaling_a_tolerance_is_needed(discovered, tmp_path, capsys):
     assert main(["catalogue", str(discovered), "--no-scaling", "--tolerance", "1", "--out", str(tmp_path / "y")]) == 0
 
 
-def folder_of(path, robots, radius):
+def folder_of(path, robots, radius, value=3.9, gap=None):
     """A catalogue with one finding, a ring."""
     angles = 2 * np.pi * np.arange(robots) / robots
     ring = 9 * np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    told = {"objective": "C2", "value": 3.9, "gap": None, "experiment": "ring", "policy": "central", "start": "random"}
+    told = {"objective": "C2", "value": value, "gap": gap, "experiment": "ring", "policy": "central", "start": "random"}
     sizes = {"radius": radius, "safe_distance": 5.0, "scan_radius": 50.0}
     finding = Finding(positions=ring, **sizes, **told, seed=0, run=path.name, episode=0)
     catalogues.write(Catalogue.from_findings([finding]), path)
@@ -130,3 +130,9 @@ def test_no_valid_pattern_is_said(discovered, tmp_path, capsys):
     (nothing / "evaluation.json").write_text(json.dumps(summary))
     seal(RunFolder(nothing))
     refused(capsys, [nothing, "--out", tmp_path / "x"], "no valid pattern was found in")
+
+
+def test_the_gap_is_in_percent_of_the_best_known(tmp_path, capsys):
+    ring = folder_of(tmp_path / "ring", 5, 1.0, value=3.8709, gap=0.0391)
+    assert main(["catalogue", str(ring), "--out", str(tmp_path / "out")]) == 0
+    assert "1.00%" in capsys.readouterr().out

@@ -24,7 +24,13 @@ def test_seeds_are_runs_of_their_own_and_fill_one_catalogue(tiny_toml, discovere
         assert (tmp_path / "tiny-central-seed0" / file).read_bytes() == (discovered / file).read_bytes()
     data = json.loads((tmp_path / "tiny-central-catalogue" / "catalogue.json").read_text())
     assert {finding["seed"] for finding in data["findings"]} == {0, 1}
-    out = capsys.readouterr().out
+    out, err = capsys.readouterr()
+    lines = [line.partition("  ")[0] for line in err.splitlines()]
+    for seed in (0, 1):
+        for work in ("base policy", "auxiliary policy"):
+            assert lines.count(f"tiny-central-seed{seed}: {work}: 2/4") == 1
+            assert lines.count(f"tiny-central-seed{seed}: {work}: 4/4") == 1
+        assert lines.count(f"tiny-central-seed{seed}: evaluation: 200/200") == 1
     assert out.count("| tiny | central |") == 2
     assert "plate: " in out
 
@@ -55,10 +61,15 @@ def test_they_are_resumed_and_never_overwritten(tiny_toml, tmp_path, capsys):
     assert "base.horizon is 8 there, 9 here" in capsys.readouterr().err
 
 
-def test_fields_vary_with_every_seed(tiny_toml, tmp_path):
+def test_fields_vary_with_every_seed(tiny_toml, tmp_path, capsys):
     words = ["--vary", "auxiliary.ppo.discount=0.8,0.9", "--vary", "base.horizon=7", "--seed", "3"]
     assert discover(tiny_toml, tmp_path, *words) == 0
     found = {path.name: load(path) for path in tmp_path.iterdir() if "catalogue" not in path.name}
+    lines = [line for line in capsys.readouterr().out.splitlines() if line.startswith(f"| {tmp_path}")]
+    for discount in ("0.8", "0.9"):
+        folder = tmp_path / f"tiny-central-seed3-discount{discount}-horizon7"
+        start = f"| {folder} | tiny | central | 3 | auxiliary.ppo.discount={discount} |"
+        assert sum(line.startswith(start) for line in lines) == 1
     assert set(found) == {f"tiny-central-seed3-discount{discount}-horizon7" for discount in ("0.8", "0.9")}
     assert {(one.auxiliary.ppo.discount, one.base.horizon, one.seed) for one in found.values()} == {
         (0.8, 7, 3),

@@ -5,7 +5,10 @@ import shutil
 import numpy as np
 import pytest
 
+from murmurate import plots
 from murmurate.cli.main import main
+from murmurate.plots.run import describe_swarm
+from murmurate.plots.style import new_page
 from murmurate.runs import files, presets, train
 from murmurate.runs.experiment import load
 from murmurate.runs.folder import RunFolder, describe_starts, is_fresh
@@ -154,12 +157,101 @@ def test_show_draws_and_animates(run, tmp_path, capsys):
     assert [path.name for path in (tmp_path / "both").iterdir()] == ["patterns.png"]
 
 
-def test_table_is_markdown(discovered, capsys):
-    assert main(["table", str(discovered), str(discovered)]) == 0
+def changed_copy(folder, path, old, new):
+    """A copy of a run with one field changed in its configuration."""
+    shutil.copytree(folder, path)
+    text = (path / "experiment.toml").read_text()
+    assert text.count(old) >= 1
+    run = RunFolder(path)
+    files.write_text(path / "experiment.toml", text.replace(old, new))
+    run.write_manifest(run.manifest(), policies=2)
+    return path
+
+
+def test_table_tells_runs_apart_and_has_no_empty_column(discovered, tmp_path, capsys):
+    other = changed_copy(discovered, tmp_path / "other", "horizon = 8", "horizon = 9")
+    assert main(["table", str(discovered), str(other)]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert len(lines) == 4
-    assert lines[0].startswith("| experiment | policy | seed | valid |")
-    assert lines[2].startswith("| tiny | central | 0 | ")
+    header, _, *rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in lines]
+    assert header[:6] == ["run", "experiment", "policy", "seed", "fields", "valid"]
+    assert [row[0] for row in rows] == [str(discovered), str(other)]
+    assert [row[4] for row in rows] == [
+        "base.horizon=8, auxiliary.horizon=8",
+        "base.horizon=9, auxiliary.horizon=9",
+    ]
+    assert "paper's total" not in header
+    assert {"contact-free", "inside"} <= set(header)
+    assert main(["table", str(discovered), str(discovered)]) == 0
+    assert capsys.readouterr().out.startswith("| run | experiment | policy | seed | valid |")
+
+
+def test_table_leaves_out_what_is_not_finished_and_lists_it(discovered, tmp_path, capsys):
+    unfinished, empty = tmp_path / "unfinished", tmp_path / "empty"
+    unfinished.mkdir()
+    empty.mkdir()
+    shutil.copy(discovered / "experiment.toml", unfinished)
+    assert main(["table", str(unfinished), str(discovered), str(empty)]) == 0
+    out, err = capsys.readouterr()
+    assert out.count("| tiny | central |") == 1
+    assert err.splitlines() == [
+        f"murmurate: left out: {unfinished} holds an unfinished run: finish it with murmurate discover --resume",
+        f"murmurate: left out: {empty} holds no run: it has no manifest.json",
+    ]
+    damaged = shutil.copytree(discovered, tmp_path / "damaged")
+    (damaged / "policies" / "0-base.safetensors").write_bytes(b"x")
+    assert main(["table", str(damaged), str(discovered)]) == 2
+    assert capsys.readouterr().out.count("| tiny | central |") == 1
+    assert main(["table", str(unfinished)]) == 2
+    assert capsys.readouterr().out == ""
+
+
+def test_show_names_runs_by_their_folders_and_what_differs(discovered, tmp_path, capsys, monkeypatch):
+    other, told = changed_copy(discovered, tmp_path / "other", "horizon = 8", "horizon = 9"), []
+    monkeypatch.setattr(plots, "patterns_figure", lambda *arguments: told.append(arguments) or new_page(1))
+    assert main(["show", str(discovered), str(other), "--out", str(tmp_path / "both")]) == 0
+    (_, names, notes), out = told[0], capsys.readouterr().out
+    assert names == ["central", "other"]
+    assert notes == ["base.horizon=8, auxiliary.horizon=8", "base.horizon=9, auxiliary.horizon=9"]
+    assert "other: base.horizon=9, auxiliary.horizon=9\n" in out
+
+
+def test_an_evaluation_says_what_failed_and_why(tiny_run, tmp_path, capsys):
+    """Robots on a line see only their neighbours; exactly on a line, robots that are all alike stay there."""
+    starts = tmp_path / "line.csv"
+    starts.write_text("start,x,y\n" + "".join(f"7,{x},0\n" for x in (-6, 0, 6)) + "3,-6,0.1\n3,0,0\n3,5,0.2\n")
+    out = tmp_path / "out"
+    assert main(["evaluate", str(tiny_run("equivariant")), "--starts", str(starts), "--out", str(out)]) == 0
+    said, summary = capsys.readouterr().out, RunFolder(out).evaluation()
+    hidden = round(2 * (1 - summary["mutually_visible"]))
+    assert hidden >= 1
+    assert f"{len(summary['failures'])} of 2 starts failed: " in said
+    assert f"{hidden} not mutually visible" in said
+    assert 0 in summary["failures"]
+    assert "began symmetric and stayed so" in said
+    assert "contact-free" in said
+    assert "inside" in said
+    # The picture of given starts does not call them what the experiment's own are.
+    recording = plots.Recording.open(out)
+    assert describe_swarm(recording) == "3 robots, starts of line.csv"
+    assert describe_swarm(plots.Recording.open(tiny_run("equivariant"))) == "3 robots, scattered start"
+
+
+def test_fewer_valid_patterns_than_required_have_a_status_of_their_own(copy_of_tiny_run, tiny_toml, capsys):
+    run = RunFolder(copy_of_tiny_run())
+    words = ["discover", str(tiny_toml), "--out", str(run.path), "--resume"]
+    summary = files.read_json(run.path / "evaluation.json")
+    for valid, status, line in (
+        (0.015, 5, "Valid patterns from 1.5% of the starts; discovery.required_valid asks for 50.0%."),
+        (0.49, 5, "Valid patterns from 49.0% of the starts; discovery.required_valid asks for 50.0%."),
+        (0.995, 0, ""),
+    ):
+        files.write_json(run.path / "evaluation.json", summary | {"valid": valid})
+        run.write_manifest(run.manifest(), policies=2)
+        assert main(words) == status
+        assert line in capsys.readouterr().out
+    for words in (["--help"], ["discover", "--help"]):
+        assert main(words) == 0
+        assert "5 fewer of them than discovery.required_valid asks for" in " ".join(capsys.readouterr().out.split())
 
 
 def test_experiments_are_listed(capsys):
@@ -177,10 +269,37 @@ def test_an_experiment_is_written_out_as_toml(tmp_path, capsys):
 
 
 def test_help_shows_the_defaults_of_the_experiment(capsys):
-    assert main(["discover", "A", "--help"]) == 0
+    assert main(["discover", "A", "--help-all"]) == 0
     text = " ".join(capsys.readouterr().out.split())
     assert "Bound on each velocity component, world units per step. (default: 0.4)" in text
     assert "Defaults are those of experiment A." in text
     for verb in ("evaluate", "show", "experiments", "table"):
         assert main([verb, "--help"]) == 0
         assert f"usage: murmurate {verb}" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("verb", "flags"), [("discover", 12), ("optimum", 8)])
+def test_help_is_one_page_and_help_all_has_every_field(verb, flags, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    assert main([verb, "A", "--help"]) == 0
+    page = capsys.readouterr().out
+    assert page.count("\n") <= 60
+    assert sum(line.startswith("  --") for line in page.splitlines()) == flags
+    assert main([verb, "A", "--help-all"]) == 0
+    everything = capsys.readouterr().out
+    for flag in ("--world.radius", "--world.max_speed"):
+        assert flag in everything
+        assert flag not in page
+
+
+def test_the_help_of_experiments_names_what_its_errors_name(capsys):
+    assert main(["experiments", "--help"]) == 0
+    text = " ".join(capsys.readouterr().out.split())
+    assert main(["experiments", "G"]) == 2
+    allowed = capsys.readouterr().err.partition("must be one of ")[2].strip()
+    assert allowed == "A, B, C, D, E, F, or a TOML file"
+    assert allowed in text
+    assert main(["experiments", "A", "--learner", "best"]) == 2
+    allowed = capsys.readouterr().err.partition("must be one of ")[2].strip()
+    assert allowed == ", ".join(presets.TRAINING_PRESETS)
+    assert allowed in text

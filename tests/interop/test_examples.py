@@ -5,6 +5,8 @@ from __future__ import annotations
 import ast
 import importlib.util
 import json
+import runpy
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -59,3 +61,36 @@ def test_the_notebook_runs_from_top_to_bottom(capsys):
 def test_stable_baselines3_ppo():
     pytest.importorskip("stable_baselines3")
     assert np.isfinite(main_of("stable_baselines3_ppo")(robots=3, steps=512, envs=2, horizon=10))
+
+
+@pytest.mark.parametrize(
+    ("name", "package", "extra"),
+    [
+        ("random_agent", "gymnasium", "gymnasium"),
+        ("vector_loop", "gymnasium", "gymnasium"),
+        ("pettingzoo_loop", "pettingzoo", "pettingzoo"),
+        ("stable_baselines3_ppo", "stable_baselines3", "gymnasium,sb3"),
+        ("onnx_robots", "onnxruntime", "onnx"),
+    ],
+)
+def test_without_its_extra_an_example_is_one_line_and_status_2(name, package, extra, monkeypatch, capsys):
+    adapters = ("murmurate.interop.gymnasium", "murmurate.interop.pettingzoo", "murmurate.interop.gathering")
+    for module in [module for module in sys.modules if module.startswith((f"{package}.", *adapters))]:
+        monkeypatch.delitem(sys.modules, module)
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(SystemExit) as stop:
+        runpy.run_path(str(EXAMPLES / f"{name}.py"), run_name="__main__")
+    out, err = capsys.readouterr()
+    assert (stop.value.code, out, err.count("\n")) == (2, "", 1)
+    assert err.startswith(f"{name}.py: ")
+    assert f'pip install "murmurate[{extra}]"' in err
+
+
+@pytest.mark.parametrize("words", [[], ["model.onnx", "many"]])
+def test_an_example_without_its_arguments_is_one_line_and_status_2(words, monkeypatch, capsys):
+    pytest.importorskip("onnxruntime")
+    monkeypatch.setattr(sys, "argv", ["onnx_robots.py", *words])
+    with pytest.raises(SystemExit) as stop:
+        runpy.run_path(str(EXAMPLES / "onnx_robots.py"), run_name="__main__")
+    assert stop.value.code == 2
+    assert capsys.readouterr() == ("", "usage: python examples/onnx_robots.py MODEL.onnx [ROBOTS]\n")

@@ -126,11 +126,30 @@ def test_methods_are_compared_panel_by_panel(check_labels):
     assert [ax.get_title(loc="left") for ax in figure.axes] == ["visible sight, fsync", "visible sight, ssync, packed"]
     learned, circle = figure.axes[0].containers
     np.testing.assert_array_equal(learned.lines[0].get_ydata(), [94, 96, 98])
-    assert (learned.lines[0].get_xdata() != circle.lines[0].get_xdata()).all()  # intervals do not cover each other
+    # Intervals do not cover each other, and every point is over the number of robots that it has.
+    figure.canvas.draw()
+    places = [container.lines[0].get_transform().transform([[0, 94]])[0, 0] for container in (learned, circle)]
+    tick = figure.axes[0].transData.transform([[0, 94]])[0, 0]
+    assert learned.lines[0].get_xdata().tolist() == circle.lines[0].get_xdata().tolist() == [0, 1, 2]
+    assert places[0] < tick < places[1]
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["learned", "circle"]
     check_labels(figure)
     single = plots.comparison_figure([alone])
     assert len(single.axes) == 1
+
+
+@pytest.mark.parametrize("methods", [1, 2, 13])
+def test_no_point_is_farther_from_its_number_of_robots_than_a_marker(methods):
+    rows = [row(f"method {index}", robots=robots) for index in range(methods) for robots in range(4, 29)]
+    figure = plots.comparison_figure(rows)
+    figure.canvas.draw()
+    ax = figure.axes[0]
+    for container in ax.containers:
+        line = container.lines[0]
+        drawn = line.get_transform().transform(line.get_xydata())[:, 0]
+        ticks = ax.transData.transform([[index, 0] for index in range(25)])[:, 0]
+        marker = line.get_markersize() * figure.dpi / 72
+        assert np.abs(drawn - ticks).max() <= marker * (1 + 1e-9)
 
 
 def test_many_sizes_leave_some_unnamed():
@@ -160,4 +179,10 @@ def test_nothing_to_compare():
     with pytest.raises(InputError, match=r"^rows = "):
         plots.comparison_figure([])
     with pytest.raises(InputError, match=r"^rows = "):
-        plots.failures_figure([row()], {4: WorldConfig(robots=4)})
+        plots.failures_figure([], {4: WorldConfig(robots=4)})
+
+
+def test_no_failures_are_said():
+    figure = plots.failures_figure([row(), row("circle")], {4: WorldConfig(robots=4)})
+    assert not figure.axes
+    assert "none in 200 episodes" in [text.get_text() for text in figure.texts]

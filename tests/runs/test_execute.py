@@ -7,8 +7,9 @@ from pathlib import Path
 import pytest
 
 from murmurate.errors import RunError
+from murmurate.runs import live_table
 from murmurate.runs.execute import Batch, Handle, InProcess, Resources, WorkerExecutor, run_jobs
-from murmurate.runs.jobs import Job, JobStatus, initial_statuses
+from murmurate.runs.jobs import Job, JobStatus, Progress, initial_statuses
 
 NAMES = ("one", "two", "three")
 
@@ -130,4 +131,24 @@ def test_lines_in_a_pipe_and_nothing_when_quiet(jobs, capsys):
     run_jobs(jobs[:2], InProcess())
     assert capsys.readouterr().out == "1 of 2: one: done\n2 of 2: two: done\n"
     run_jobs(jobs, InProcess(), quiet=True)
+    assert capsys.readouterr() == ("", "")
+
+
+def test_workers_that_have_gone_on_are_a_line_each_on_stderr(jobs, capsys, monkeypatch):
+    """Once for each chunk of each job, by the files that its worker writes."""
+    monkeypatch.setattr(live_table, "DRAW_SECONDS", 0)
+    known = {"one": Progress("base", 5, 60, 0.25, 1000.0, 30.0), "two": None}
+    for job in jobs:
+        monkeypatch.setattr(job, "progress", lambda name=job.name: known.get(name))
+    statuses = {"one": JobStatus("running", 1), "two": JobStatus("running", 1), "three": JobStatus()}
+    table = live_table.LiveTable(jobs, statuses)
+    table.draw()
+    table.draw()
+    first = "one: base: 5/60  reward +0.2500  1,000 steps/s  30 s left\n"
+    assert capsys.readouterr() == ("", first)
+    known |= {"two": Progress("base", 5, 60, None, None, None), "one": Progress("base", 10, 60, None, None, 25.0)}
+    table.draw()
+    assert capsys.readouterr() == ("", "one: base: 10/60  25 s left\ntwo: base: 5/60\n")
+    quiet = live_table.LiveTable(jobs, statuses, quiet=True)
+    quiet.draw()
     assert capsys.readouterr() == ("", "")

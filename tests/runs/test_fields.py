@@ -159,6 +159,9 @@ def test_toml_files(tmp_path):
     path = tmp_path / "mine.toml"
     path.write_text("[world]\nradius = 2\n")
     assert config_io.load_toml(path) == {"world": {"radius": 2}}
+    path.write_text(path.read_text(), "utf-8-sig")
+    assert path.read_bytes().startswith(b"\xef\xbb\xbf")
+    assert config_io.load_toml(path) == {"world": {"radius": 2}}
     path.write_text("[world]\nradius = \n")
     with pytest.raises(InputError, match=r"mine\.toml.*line 2") as caught:
         config_io.load_toml(path)
@@ -197,8 +200,8 @@ def test_flags_read_leaves(kind, text, value):
         (int, "1.5", "x = '1.5': must be an integer"),
         (float, "", "x = '': must be a number"),
         (bool, "yes", "x = 'yes': must be true or false"),
-        (tuple[float, float], "1,2,3", "x = '1,2,3': must be a list [a number, a number]"),
-        (tuple[int, ...], "1,a", "x = 'a': must be an integer"),
+        (tuple[float, float], "1,2,3", "x = '1,2,3': must be 2 values, separated by commas, such as 0.5,1.5"),
+        (tuple[int, ...], "1,a", "x = '1,a': must be integers, separated by commas, such as 32,16"),
         (Literal["a", "b"], "c", "x = 'c': must be one of a, b"),
     ],
 )

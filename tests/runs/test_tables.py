@@ -35,12 +35,13 @@ def test_a_run_stands_beside_the_paper():
     assert text["total steps"] == ("1168.83 printed, 745.27 summed", "90.50")
     assert text["total / bound"] == ("-", "3.02")
     assert text["valid pattern"] == ("-", "198 of 200 (95%: 96.4-99.7%)")
-    assert table.comparison(SUMMARY, None)[1][2] == ("total steps", "-", "90.50")
+    assert table.comparison(SUMMARY, None)[1][2] == ("total steps", "90.50")
+    assert table.comparison(SUMMARY, None)[0] == ("200 fresh starts", "this run")
     mine = SUMMARY | {"starts": {"kind": "file", "name": "fresh"}, "thresholds": {"calm": 0.5}}
     header, rows = table.comparison(mine, EXPERIMENTS["E"])
     assert header[0] == "200 starts of fresh"
-    assert ("total steps", "-", "90.50") in rows
-    assert ("calm reached", "-", "100 of 200") in rows
+    assert ("total steps", "90.50") in rows
+    assert ("calm reached", "100 of 200") in rows
 
 
 def test_the_gap_is_in_percent_of_the_best_known():

@@ -101,14 +101,48 @@ def test_episodes_with_a_collision_or_outside_the_world_are_left_out(recorded):
 def test_robots_that_are_too_large_or_too_slow_are_refused_with_what_would_do(recorded):
     folder = recorded([straight()], [4])
     Waypoints.from_run(folder, Scale(metres=0.1, robot_radius=0.2499, robot_speed=0.0501))
-    with pytest.raises(
-        InputError, match=r"--robot-radius = 0\.251: must be less than 0\.25 m.*--scale greater than 0\.1004"
-    ):
+    with pytest.raises(InputError, match=r"--robot-radius = 0\.251: must be less than 0\.25 m.*--scale above 0\.1004"):
         Waypoints.from_run(folder, Scale(metres=0.1, robot_radius=0.251))
     with pytest.raises(InputError, match=r"--robot-speed = 0\.025: must be at least 0\.05 m/s; or --period at least 2"):
         Waypoints.from_run(folder, Scale(metres=0.1, robot_speed=0.025))
     slower = Waypoints.from_run(folder, Scale(metres=0.1, seconds=2.01, robot_speed=0.025))
     assert slower.fastest <= 0.025
+
+
+def read_csv(waypoints):
+    """The episode 0 of a file as its reader has it: times, and positions by time and robot."""
+    lines = [line for line in waypoints.as_csv().splitlines() if not line.startswith("#")]
+    rows = [row for row in csv.DictReader(io.StringIO("\n".join(lines))) if row["episode"] == "0"]
+    times = sorted({float(row["time_s"]) for row in rows})
+    at = {(float(row["time_s"]), int(row["robot"])): (float(row["x_m"]), float(row["y_m"])) for row in rows}
+    return np.array(times), np.array([[at[time, robot] for robot in range(3)] for time in times])
+
+
+@pytest.mark.parametrize(("metres", "seconds"), [(123456.789, 4444444.321), (0.001, 0.001), (1 / 3, 1 / 7)])
+def test_a_csv_keeps_every_digit(recorded, metres, seconds):
+    waypoints = Waypoints.from_run(recorded([straight()], [4]), Scale(metres=metres, seconds=seconds))
+    times, positions = read_csv(waypoints)
+    assert times.tolist() == waypoints.times[0].tolist()
+    assert positions.tolist() == waypoints.positions[0].tolist()
+
+
+@pytest.mark.parametrize("seconds", [1 / 3, 1 / 7, 0.0011, 4444444.321])
+def test_robots_as_fast_as_allowed_can_follow_the_file(recorded, seconds):
+    """The speed that the file asks for, as its reader computes it, is what it says and what is checked."""
+    folder = recorded([straight(speed=0.4999)], [4])
+    waypoints = Waypoints.from_run(folder, Scale(metres=0.1, seconds=seconds))
+    times, positions = read_csv(waypoints)
+    asked = np.linalg.norm(np.diff(positions, axis=0) / np.diff(times)[:, None, None], axis=2).max()
+    assert waypoints.about()["fastest_m_per_s"] == asked
+    Waypoints.from_run(folder, Scale(metres=0.1, seconds=seconds, robot_speed=float(asked)))
+    with pytest.raises(InputError) as caught:
+        Waypoints.from_run(folder, Scale(metres=0.1, seconds=seconds, robot_speed=float(asked) * (1 - 1e-9)))
+    # What the error advises is enough.
+    advised = float(str(caught.value).partition("at least ")[2].partition(" m/s")[0])
+    assert asked <= advised <= 1.01 * asked
+    Waypoints.from_run(folder, Scale(metres=0.1, seconds=seconds, robot_speed=advised))
+    period = float(str(caught.value).partition("--period at least ")[2])
+    Waypoints.from_run(folder, Scale(metres=0.1, seconds=1.01 * period, robot_speed=float(asked)))
 
 
 def test_recorded_positions_faster_than_the_world_allows_are_refused(recorded):

@@ -25,6 +25,8 @@ from murmurate.world import (
     WorldConfig,
     check_start,
     draw_starts,
+    read_named_starts,
+    read_starts,
     redraw_overlaps,
     scaled_to,
 )
@@ -327,7 +329,12 @@ def test_any_family_is_drawn_with_equal_chances():
     ("family", "robots", "line"),
     [
         ("rings", 3, "robots = 3: must be at least 4 for the start rings"),
-        ("line", 60, "robots = 60: must be few enough to fit the start line"),
+        (
+            "line",
+            60,
+            "world.robots = 60: must be few enough to fit the start line "
+            "(or make world.half_width = 45 or world.half_height = 45 larger, or world.radius = 1 smaller)",
+        ),
     ],
 )
 def test_what_cannot_be_symmetric_is_refused(family, robots, line):
@@ -409,3 +416,11 @@ def test_a_file_that_cannot_be_read_is_one_line(tmp_path):
         with pytest.raises(InputError, match=f"a readable CSV file .{reason}") as error:
             check_start(FileStart(file=str(path)), WORLD)
         assert "\n" not in str(error.value)
+
+
+def test_a_byte_order_mark_is_no_part_of_the_header(tmp_path):
+    file = tmp_path / "starts.csv"
+    file.write_text("start,x,y\n7,1,2\n7,3,4\n3,5,6\n3,7,8\n", "utf-8-sig")
+    assert file.read_bytes().startswith(b"\xef\xbb\xbf")
+    assert read_starts(file, 2).tolist() == [[[1, 2], [3, 4]], [[5, 6], [7, 8]]]
+    assert list(read_named_starts(file, 2)) == ["7", "3"]

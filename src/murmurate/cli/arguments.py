@@ -7,14 +7,16 @@ A wrong command line is one line on stderr and exit status 2, never a page of us
 from __future__ import annotations
 
 import argparse
+import ast
 import contextlib
 import dataclasses
 import inspect
+import re
 from collections.abc import Collection, Mapping, Sequence
 from itertools import zip_longest
 from typing import Any, Literal, NoReturn, get_args, get_origin
 
-from murmurate.errors import UsageError, suggestion
+from murmurate.errors import InputError, UsageError, suggestion
 from murmurate.runs import config_io
 
 __all__ = ["Parser", "chosen_strategies"]
@@ -27,9 +29,12 @@ class Parser(argparse.ArgumentParser):
         verb: The verb.
         positionals: Names of its positional arguments, for the usage line.
         description: What the verb does; the text of its help.
+        everyday: The flags that --help shows, where there are too many for a page; --help-all shows all. None: no such
+            choice.
     """
 
-    def __init__(self, verb: str, positionals: str, description: str) -> None:
+    def __init__(self, verb: str, positionals: str, description: str, everyday: Sequence[str] | None = None) -> None:
+        self._everyday = everyday
         self._flags: set[str] = set()
         self._tables: dict[str, Any] = {}
         self._leaves: dict[str, config_io.Leaf] = {}
@@ -39,7 +44,10 @@ class Parser(argparse.ArgumentParser):
             description=description,
             formatter_class=_Formatter,
             allow_abbrev=False,
+            exit_on_error=False,
         )
+        if everyday is not None:
+            self.add_argument("--help-all", action=_HelpAll, nargs=0, help="show all flags and exit")
 
     def add_argument(self, *names: Any, **options: Any) -> argparse.Action:
         """Adds an argument of the verb's own; see `argparse`."""
@@ -84,7 +92,10 @@ class Parser(argparse.ArgumentParser):
             UsageError: A flag is unknown, or an argument is missing or too many.
             InputError: The value of a field's flag is of the wrong type.
         """
-        options = self.parse_args(self._checked(argv))
+        try:
+            options = self.parse_args(self._checked(argv))
+        except argparse.ArgumentError as error:
+            self._refuse(error)
         given = {path: vars(options).pop(path) for path in self._leaves if path in options}
         values = {path: config_io.parse(self._leaves[path].kind, text, path) for path, text in given.items()}
         return options, config_io.nested(values)
@@ -92,6 +103,43 @@ class Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """Raises what argparse would print together with the usage."""
         raise UsageError(f"{message} (see {self.prog} --help)")
+
+    def format_help(self, full: bool = False) -> str:
+        """Returns the text of --help, or of --help-all."""
+        formatter = self._get_formatter()
+        formatter.add_usage(self.usage, self._actions, self._mutually_exclusive_groups)
+        formatter.add_text(self.description)
+        if self._everyday is None or full:
+            for group in self._action_groups:
+                formatter.start_section(group.title)
+                formatter.add_text(group.description)
+                formatter.add_arguments(group._group_actions)
+                formatter.end_section()
+        else:
+            flags = [next(a for a in self._actions if flag in a.option_strings) for flag in self._everyday]
+            formatter.start_section("arguments")
+            formatter.add_arguments([*self._get_positional_actions(), *flags])
+            formatter.end_section()
+            formatter.add_text(f"All flags, one for every field of the configuration: {self.prog} --help-all")
+        formatter.add_text(self.epilog)
+        return formatter.format_help()
+
+    def _refuse(self, error: argparse.ArgumentError) -> NoReturn:
+        """Raises, in the words of this package, what argparse found wrong with the value of a flag."""
+        names = (error.argument_name or "").split("/")
+        action = next((action for action in self._actions if names[-1] in action.option_strings), None)
+        if action is None:
+            self.error(str(error))
+        flag = names[-1]
+        if action.nargs == 0:
+            self.error(f"{flag} takes no value")
+        given = re.match(r"invalid (int|float) value: (.*)", error.message)
+        if given is not None:
+            kind = int if given[1] == "int" else float
+            raise InputError(flag, ast.literal_eval(given[2]), config_io.described(kind))
+        leaf = self._leaves.get(action.dest)
+        example = f", such as {flag} {_example(leaf)}" if leaf is not None else f": {flag} {action.metavar}"
+        self.error(f"{flag} needs a value{example}")
 
     def _checked(self, argv: Sequence[str]) -> list[str]:
         """Refuses unknown flags, and ties negative values to their flags (argparse takes -1e-3 and -inf for flags)."""
@@ -140,6 +188,21 @@ def _current_name(flag: str) -> str:
     """Returns the flag that version 0.1.0 spelled --start.kind as it is now: --start.use."""
     section, dot, field = flag.rpartition(".")
     return f"{section}.{config_io.USE}" if dot and field == config_io.OLD_USE else flag
+
+
+class _HelpAll(argparse.Action):
+    """Prints the help with all flags, and exits."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any, **__: Any) -> None:
+        print(parser.format_help(full=True), end="")  # type: ignore[call-arg]
+        parser.exit()
+
+
+def _example(leaf: config_io.Leaf) -> str:
+    """Returns a value that the flag of a leaf takes: the other one where there are two, its present one elsewhere."""
+    if isinstance(leaf.value, bool):
+        return config_io.spelled(not leaf.value)
+    return config_io.spelled(leaf.value) or _metavar(leaf.kind)
 
 
 class _Formatter(argparse.HelpFormatter):

@@ -31,15 +31,22 @@ def run(argv: Sequence[str]) -> int:
     parser.add_argument("--no-reflection", action="store_true", help="mirror images are different patterns")
     text = "import the modules that the runs name, which executes them"
     parser.add_argument("--trust", action="store_true", help=text)
+    parser.add_argument("--quiet", action="store_true", help="do not show the progress")
     options, _ = parser.parse(argv)
     if options.tolerance is not None:
         check_number("--tolerance", options.tolerance, 0, MAX_MAGNITUDE, exclusive_low=True)
     from murmurate.analysis import Catalogue
+    from murmurate.cli.progress import Progress
     from murmurate.runs import catalogues
 
     out = Path(options.out)
     catalogues.check_target(out)
-    findings = [finding for word in options.runs for finding in catalogues.read_findings(word, options.trust)]
+    findings = []
+    with Progress(quiet=options.quiet) as progress:
+        for index, word in enumerate(options.runs, 1):
+            findings += catalogues.read_findings(word, options.trust)
+            patterns = "valid pattern" if len(findings) == 1 else "valid patterns"
+            progress.update("runs read", index, len(options.runs), found=f"{len(findings)} {patterns}")
     if not findings:
         raise RunError(f"no valid pattern was found in {', '.join(options.runs)}")
     scaling, reflection = not options.no_scaling, not options.no_reflection
@@ -78,8 +85,15 @@ def _plate_pattern(pattern: PatternClass, total: int) -> PlatePattern:
     caption = f"{symbol}{' · ' * bool(symbol)}{_layers(pattern)} · {pattern.count} of {total}"
     note = f"{best.objective} {pattern.value:.4f}"
     if pattern.gap is not None:
-        note += f", {100 * pattern.gap / (pattern.gap + pattern.value):.2f}% short"
+        note += f", {_gap(pattern)} short"
     return plots.PlatePattern(upright(best.positions), best.radius, best.scan_radius, caption, note)
+
+
+def _gap(pattern: PatternClass) -> str:
+    """Writes by how much a class is below the best-known pattern, as `table.gap` does: in percent of that one."""
+    from murmurate.runs import table
+
+    return table.gap({"gap": pattern.gap, "best_known": None if pattern.gap is None else pattern.gap + pattern.value})
 
 
 def _layers(pattern_class: PatternClass) -> str:
@@ -99,7 +113,7 @@ def _print(catalogue: Catalogue, out: Path) -> None:
             pattern_class.symmetry.name,
             _layers(pattern_class),
             f"{pattern_class.representative.objective} {pattern_class.value:.4f}",
-            table.NONE if pattern_class.gap is None else f"{pattern_class.gap:.4f}",
+            _gap(pattern_class),
             f"{pattern_class.margin:.2f} R",
             ", ".join(f"{start} {count}" for start, count in pattern_class.starts.items()),
         )

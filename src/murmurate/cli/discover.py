@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from murmurate.cli.arguments import Parser, chosen_strategies
+from murmurate.cli.main import NOTHING_VALID, STATUS, TOO_FEW_VALID
 from murmurate.errors import UsageError
-from murmurate.runs.paper import EXPERIMENTS, check_experiment
+from murmurate.runs.paper import ALLOWED, check_experiment
 
 if TYPE_CHECKING:
     from murmurate.runs.folder import RunFolder
@@ -20,14 +21,28 @@ if TYPE_CHECKING:
 
 __all__ = ["run"]
 
-NOTHING_VALID = 3
+EVERYDAY = (
+    "--out",
+    "--config",
+    "--resume",
+    "--quiet",
+    "--seed",
+    "--seeds",
+    "--vary",
+    "--objective",
+    "--policy",
+    "--start.use",
+    "--world.robots",
+    "--base.ppo.updates",
+)
+"""The flags that --help shows; --help-all shows the rest, one for every field of an experiment."""
 
 
 def run(argv: Sequence[str]) -> int:
     """Runs the verb.
 
     Returns:
-        0, or 3 when no valid pattern was discovered.
+        0; 3 when no valid pattern was discovered; 5 when there are fewer than discovery.required_valid asks for.
     """
     word = argv[0] if argv and not argv[0].startswith("-") else None
     if word is not None:
@@ -83,8 +98,10 @@ def _parser(word: str | None, argv: Sequence[str]) -> Parser:
     from murmurate.runs.config_io import leaves
     from murmurate.runs.experiment import read_toml
 
-    parser = Parser("discover", "EXPERIMENT", "Trains the policies of an experiment, evaluates and draws them.")
-    parser.add_argument("experiment", metavar="EXPERIMENT", help=f"{', '.join(EXPERIMENTS)}, or a TOML file")
+    parser = Parser(
+        "discover", "EXPERIMENT", "Trains the policies of an experiment, evaluates and draws them.", EVERYDAY
+    )
+    parser.add_argument("experiment", metavar="EXPERIMENT", help=ALLOWED)
     parser.add_argument("--out", metavar="DIR", help="run folder (default: runs/EXPERIMENT-LEARNER-seedSEED)")
     parser.add_argument("--config", metavar="FILE", help="TOML file of fields to replace; flags win over it")
     names = ",".join(presets.TRAINING_PRESETS)
@@ -120,7 +137,8 @@ def _parser(word: str | None, argv: Sequence[str]) -> Parser:
         folders=_module_folders(given["--config"]),
     )
     parser.add_fields(shown, aliases, skip=[leaf.path for leaf in leaves(shown) if leaf.path.startswith("modules.")])
-    parser.epilog = f"Defaults are those of experiment {word or 'C'}. A class of your own: --start.use module:Class."
+    defaults = f"Defaults are those of experiment {word or 'C'}. A class of your own: --start.use module:Class."
+    parser.epilog = f"{defaults} {STATUS}"
     return parser
 
 
@@ -175,9 +193,15 @@ def _print_results(run: Run, folder: RunFolder) -> int:
 
     summary.print_results(run, folder)
     print(f"picture: {summary.draw(folder)}")
+    share = folder.evaluation()["valid"]
     if not run.manifest["valid_pattern"]:
         print(f"No valid pattern was discovered. The run is kept in {folder.path}; try another --seed or more updates.")
         return NOTHING_VALID
+    status = 0
+    required = run.experiment.discovery.required_valid
+    if share < required:
+        status = TOO_FEW_VALID
+        print(f"Valid patterns from {share:.1%} of the starts; discovery.required_valid asks for {required:.1%}.")
     print(f"animation: murmurate show {folder.path}")
     print(f"other starts: murmurate evaluate {folder.path} --seed 1 --out {folder.path}-evaluation")
-    return 0
+    return status

@@ -22,13 +22,17 @@ def run(argv: Sequence[str]) -> int:
     parser.add_argument("--starts", metavar="FILE.csv", help="start,x,y: one row a robot, every start in file order")
     parser.add_argument("--out", metavar="DIR", help="leave RUN as it is, and write a copy with the new evaluation")
     parser.add_argument("--trust", action="store_true", help="import the modules that RUN names, which executes them")
+    parser.add_argument("--quiet", action="store_true", help="do not show the progress")
     options, _ = parser.parse(argv)
 
+    import numpy as np
+
     from murmurate.cli import summary
+    from murmurate.cli.progress import Progress
     from murmurate.runs import evaluate
     from murmurate.runs.folder import RunFolder
     from murmurate.runs.run import Run, check_draw
-    from murmurate.world import check_configurations, read_starts
+    from murmurate.world import check_configurations, read_named_starts
 
     folder, target = RunFolder(options.run), RunFolder(options.out or options.run)
     is_copy = target.path.resolve() != folder.path.resolve()
@@ -40,12 +44,14 @@ def run(argv: Sequence[str]) -> int:
     opened = Run.open(folder.path, options.trust)
     world, starts, file = opened.experiment.world, None, None
     if options.starts is not None:
-        starts, file = read_starts(options.starts, world.robots), Path(options.starts).name
-        check_configurations(starts, world, options.starts)
+        named, file = read_named_starts(options.starts, world.robots), Path(options.starts).name
+        starts = np.array(list(named.values()))
+        check_configurations(starts, world, options.starts, list(named))
         if (options.episodes or 0) > len(starts):
             raise InputError("--episodes", options.episodes, f"at most the {len(starts)} starts of {options.starts}")
         starts = starts[: options.episodes]
-    result = evaluate.evaluate(opened, episodes, seed, starts, file)
+    with Progress(quiet=options.quiet) as progress:
+        result = evaluate.evaluate(opened, episodes, seed, starts, file, on_progress=progress.update)
     if is_copy:
         folder.copy_to(target)
     result.save(target)

@@ -5,9 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from murmurate.cli.arguments import Parser
-from murmurate.runs.paper import EXPERIMENTS, check_experiment
+from murmurate.errors import UsageError, check_choice
+from murmurate.runs.paper import ALLOWED, EXPERIMENTS, check_experiment
 
 __all__ = ["run"]
+
+LEARNERS = ("equivariant", "central", "local", "paper")
+"""The training presets, spelled out because they are known only once JAX is loaded."""
 
 HEADER = ("", "robots", "gathers", "start", "X = Y", "R", "scan", "safe", "speed", "steps")
 
@@ -15,9 +19,14 @@ HEADER = ("", "robots", "gathers", "start", "X = Y", "R", "scan", "safe", "speed
 def run(argv: Sequence[str]) -> int:
     """Runs the verb; returns 0."""
     parser = Parser("experiments", "[EXPERIMENT]", "Lists the experiments; with a name, writes that one out as TOML.")
-    parser.add_argument("experiment", metavar="EXPERIMENT", nargs="?", help=", ".join(EXPERIMENTS))
-    parser.add_argument("--learner", metavar="NAME", help="whose numbers: equivariant (default), central or paper")
+    parser.add_argument("experiment", metavar="EXPERIMENT", nargs="?", help=ALLOWED)
+    text = f"whose numbers: {', '.join(LEARNERS)} (default: {LEARNERS[0]}, or that of the file's policy)"
+    parser.add_argument("--learner", metavar="NAME", help=text)
     options, _ = parser.parse(argv)
+    if options.learner is not None:
+        if options.experiment is None:
+            raise UsageError("--learner is for one experiment: give its name")
+        check_choice("learner", options.learner, LEARNERS)
     if options.experiment is not None:
         check_experiment(options.experiment)
         from murmurate.runs import config_io, presets

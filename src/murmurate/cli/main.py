@@ -1,27 +1,37 @@
 """The command `murmurate`: finds the verb, runs it, and turns what goes wrong into one line and an exit status.
 
-Exit status: 0 done, 2 bad input or an unusable run folder, 3 no valid pattern was discovered, 4 runs of a
-sweep failed, 130 interrupted.
+Exit status: 0 done, 2 bad input or an unusable run folder, 3 no valid pattern was discovered, 4 runs of a sweep failed,
+5 fewer valid patterns than `discovery.required_valid` asks for, 130 interrupted.
 """
 
 from __future__ import annotations
 
+import contextlib
 import importlib
+import io
 import os
 import sys
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from murmurate import __version__, compilation_cache
 from murmurate.errors import MAX_LINE, BeyondTrainingWarning, InputError, RunError, UsageError, one_line, suggestion
 from murmurate.interrupts import sigterm_as_interrupt
 
-__all__ = ["main"]
+__all__ = ["FAILED", "NOTHING_VALID", "STATUS", "TOO_FEW_VALID", "main"]
 
 BAD_INPUT = 2
+NOTHING_VALID = 3
+FAILED = 4
+TOO_FEW_VALID = 5
 INTERRUPTED = 130  # what a shell reports for a process that SIGINT ended
 BROKEN_PIPE = 141  # and for one that SIGPIPE ended
+
+STATUS = (
+    f"Exit status: 0 done, {BAD_INPUT} bad input, {NOTHING_VALID} no valid pattern was discovered, {TOO_FEW_VALID} "
+    "fewer of them than discovery.required_valid asks for."
+)
 
 # Each verb is a module of this package with `run(argv) -> int`, imported only when it is called for.
 VERBS = {
@@ -48,7 +58,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns:
         The exit status. Errors that a user can cause are one line on stderr; any other exception is a defect and rises.
     """
-    arguments = list(sys.argv[1:] if argv is None else argv)
+    with _replacing_characters():
+        return _main(list(sys.argv[1:] if argv is None else argv))
+
+
+def _main(arguments: list[str]) -> int:
     try:
         with sigterm_as_interrupt():
             status = _run(arguments)
@@ -67,6 +81,22 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _complain(str(error) or "interrupted", INTERRUPTED)
     except SystemExit as error:  # argparse leaves this way after printing help
         return error.code if isinstance(error.code, int) else 0
+
+
+@contextlib.contextmanager
+def _replacing_characters() -> Iterator[None]:
+    """Lets output replace what its encoding does not have: no name of a file is worth the results of an hour."""
+    streams = [stream for stream in (sys.stdout, sys.stderr) if isinstance(stream, io.TextIOWrapper)]
+    before = [stream.errors for stream in streams]
+    for stream in streams:
+        if stream.errors in ("strict", "surrogateescape"):
+            stream.reconfigure(errors="replace")
+    try:
+        yield
+    finally:
+        for stream, errors in zip(streams, before, strict=True):
+            with contextlib.suppress(ValueError):  # closed meanwhile
+                stream.reconfigure(errors=errors)
 
 
 def _run(arguments: list[str]) -> int:
@@ -102,6 +132,8 @@ def _help() -> str:
             "Discovers collisionless patterns in swarms of fat, opaque robots.",
             "",
             *(f"  {verb:{width}}  {text}" for verb, text in VERBS.items()),
+            "",
+            STATUS,
             "",
             "murmurate VERB --help tells more about a verb; murmurate --version prints the version.",
         ]

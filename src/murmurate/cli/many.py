@@ -6,14 +6,14 @@ from collections.abc import Callable
 from pathlib import Path
 
 from murmurate.analysis import Catalogue
+from murmurate.cli.main import NOTHING_VALID, TOO_FEW_VALID
 from murmurate.runs import catalogues, table
 from murmurate.runs.execute import InProcess, run_jobs
+from murmurate.runs.folder import RunFolder
 from murmurate.runs.grid import Grid
 from murmurate.runs.jobs import training_jobs
 
 __all__ = ["discover_many"]
-
-NOTHING_VALID = 3
 
 
 def discover_many(
@@ -37,7 +37,8 @@ def discover_many(
         quiet: Do not show the progress.
 
     Returns:
-        0, or 3 when no valid pattern was discovered.
+        0; 3 when no valid pattern was discovered; 5 when no run discovered as many as its discovery.required_valid asks
+        for.
 
     Raises:
         InputError: `together` is out of bounds.
@@ -54,10 +55,14 @@ def discover_many(
         run_jobs(training_jobs(grid, out, on_metrics), InProcess(together), quiet=quiet)
     except KeyboardInterrupt:
         raise KeyboardInterrupt("interrupted; add --resume to the same command to go on") from None
-    print(table.as_markdown(table.RESULTS, table.results(folders, trust=True)), end="")
+    print(table.as_markdown(*table.side_by_side(folders, trust=True)), end="")
     findings = [finding for folder in folders for finding in catalogues.read_findings(folder, trust=True)]
     if not findings:
         print(f"No valid pattern was discovered. The runs are kept in {out}.")
         return NOTHING_VALID
     show(Catalogue.from_findings(findings), catalogue)
+    required = {run: config.discovery.required_valid for run, config in grid.runs.items()}
+    if all(RunFolder(out / run).evaluation()["valid"] < least for run, least in required.items()):
+        print("No run formed valid patterns from the share of starts that discovery.required_valid asks for.")
+        return TOO_FEW_VALID
     return 0

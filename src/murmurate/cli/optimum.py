@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from murmurate.cli.arguments import Parser
 from murmurate.errors import InputError, RunError
-from murmurate.runs.paper import EXPERIMENTS, check_experiment
+from murmurate.runs.paper import ALLOWED, check_experiment
 
 if TYPE_CHECKING:
     from murmurate.analysis.optimum.search import Formation, OptimumConfig
@@ -16,6 +16,9 @@ if TYPE_CHECKING:
 __all__ = ["run"]
 
 MAX_LISTED = 8
+
+EVERYDAY = ("--out", "--quiet", "--objective", "--world.robots", "--annealing.chains", "--polished", "--hops", "--seed")
+"""The flags that --help shows; --help-all shows the rest, one for every field of the search."""
 
 
 def run(argv: Sequence[str]) -> int:
@@ -33,10 +36,11 @@ def run(argv: Sequence[str]) -> int:
         raise InputError("objective", formations.objective, "C1 or C2")
     config = OptimumConfig(formations.world, formations.objective)
     text = "Searches for the best formation in the world of an experiment; without any word, lists the best known."
-    parser = Parser("optimum", "[EXPERIMENT]", text)
-    names = f"whose sizes to begin with: {', '.join(EXPERIMENTS)}, or a TOML file (default: C)"
+    parser = Parser("optimum", "[EXPERIMENT]", text, EVERYDAY)
+    names = f"whose sizes to begin with: {ALLOWED} (default: C)"
     parser.add_argument("experiment", metavar="EXPERIMENT", nargs="?", help=names)
     parser.add_argument("--out", metavar="FILE.json", help="write the best one, for the table of best-known patterns")
+    parser.add_argument("--quiet", action="store_true", help="do not show the progress")
     parser.add_fields(config)
     options, flags = parser.parse(argv)
     config = config_io.replaced(config, flags)
@@ -45,7 +49,7 @@ def run(argv: Sequence[str]) -> int:
         raise RunError(f"{out} is there already: choose another --out")
     if out is not None and not out.parent.is_dir():
         raise RunError(f"{out.parent} is no folder: choose another --out")
-    return _search(config, out, " ".join(["murmurate optimum", *argv]))
+    return _search(config, out, " ".join(["murmurate optimum", *argv]), options.quiet)
 
 
 def _list() -> int:
@@ -56,16 +60,18 @@ def _list() -> int:
     return 0
 
 
-def _search(config: OptimumConfig, out: Path | None, command: str) -> int:
+def _search(config: OptimumConfig, out: Path | None, command: str, quiet: bool) -> int:
     from murmurate.analysis.optimum.best_known import BestKnown
     from murmurate.analysis.optimum.search import hop, search
+    from murmurate.cli.progress import Progress
     from murmurate.runs import files
 
-    formations = search(config)
+    with Progress(quiet=quiet) as progress:
+        formations = search(config, progress.update)
+        checked = hop(config, progress.update) if config.hops else None
     _print_found(config, formations)
     best = formations[0]
-    if config.hops:
-        checked = hop(config)
+    if checked is not None:
         print(f"basin hopping, {config.hops} rounds: {checked.value:.7f}{_flaw(checked)}")
         best = min(best, checked, key=lambda formation: (config.only_valid and not formation.valid, -formation.value))
     if config.only_valid and not best.valid:

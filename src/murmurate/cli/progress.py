@@ -11,15 +11,9 @@ from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn, Tim
 from rich.progress import Progress as Bars
 from rich.table import Column
 
-__all__ = ["Progress"]
+from murmurate.runs import progress
 
-_FORMATS = {
-    "reward": "reward {:+.4f}",
-    "objective": "objective {:.3f}",
-    "visible": "{:.0%} visible",
-    "valid": "{:.0%} valid",
-    "steps_per_second": "{:,.0f} steps/s",
-}
+__all__ = ["Progress"]
 
 
 class Progress:
@@ -74,17 +68,12 @@ class Progress:
             work: What is being done, such as the policy in training; new work starts a new line below.
             done: How many updates (or other units) are done.
             total: How many there are.
-            **values: What else to show, by name: reward, visible, valid, steps_per_second, or anything else; text is
-                shown as it is.
+            **values: What else to show, by name; see `murmurate.runs.progress.line`.
         """
-        text = "  ".join(_format(name, value) for name, value in values.items())
         if self._is_live:
             if work not in self._tasks:
                 self._tasks[work] = self._bars.add_task(work, total=total, completed=done, text="")
+            text = progress.values_text(**values)
             self._bars.update(self._tasks[work], completed=done, total=total, text=text, refresh=True)
         elif not self._quiet:
-            print(f"{work}: {done}/{total}  {text}".rstrip(), file=self._stream, flush=True)
-
-
-def _format(name: str, value: float | str) -> str:
-    return value if isinstance(value, str) else _FORMATS.get(name, name + " {:.3g}").format(value)
+            print(progress.line(work, done, total, **values), file=self._stream, flush=True)

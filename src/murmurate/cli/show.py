@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from argparse import Namespace
 from collections.abc import Sequence
 from dataclasses import replace
@@ -13,6 +14,7 @@ from murmurate.errors import UsageError, check_choice
 
 if TYPE_CHECKING:
     from murmurate.plots import Recording
+    from murmurate.runs.run import Run
 
 __all__ = ["run"]
 
@@ -29,7 +31,13 @@ PRETRAINED: dict[str, Any] = {
 STARTS = ("random", "scattered", "distributed", "packed")
 
 EPISODES = 32
-"""Starts from which the package's weights form patterns, to draw a typical one."""
+"""Starts from which the package's weights form patterns, to draw a typical one; fewer for large swarms."""
+
+MAX_PAIRS = 2**18
+"""Pairs of robots in all of these episodes together, at most."""
+
+LARGE = 64
+"""Robots beyond which a step is timed first, to say how long the episodes will take."""
 
 
 def run(argv: Sequence[str]) -> int:
@@ -40,6 +48,7 @@ def run(argv: Sequence[str]) -> int:
     parser.add_argument("--animation", metavar="FILE", help="write this file only, a .webp, .gif or .mp4")
     parser.add_argument("--mp4", action="store_true", help="animate as mp4 (needs the video extra) instead of GIF")
     parser.add_argument("--out", metavar="DIR", help="where to write (default: RUN/figures, or a folder in runs)")
+    parser.add_argument("--quiet", action="store_true", help="do not show the progress")
     text = "import the modules that the runs name, which executes them"
     parser.add_argument("--trust", action="store_true", help=text)
     parser.add_argument("--robots", type=int, metavar="INT", help="swarm size, without RUN (default: 8)")
@@ -78,6 +87,7 @@ def _form_patterns(
 ) -> int:
     """Lets the package's weights form patterns, keeps them as a run unless only an animation is wanted, and draws."""
     from murmurate import plots, pretrained
+    from murmurate.cli.progress import Progress
     from murmurate.runs.evaluate import evaluate
     from murmurate.runs.folder import RunFolder
     from murmurate.world import Start
@@ -85,17 +95,49 @@ def _form_patterns(
     check_choice("start", start, STARTS)
     run = pretrained(objective, sensing, scheduler).of_size(robots)
     run = run.under(replace(run.experiment, sizes=(), start=Start.registered()[start]()))
-    evaluation = evaluate(run, EPISODES, seed)
+    folder = Path(options.out or f"runs/{objective}-{sensing}-{scheduler}-{robots}-{start}-seed{seed}")
+    if options.animation is None:
+        RunFolder(folder).inspect()  # before patterns are formed
+    episodes = max(1, min(EPISODES, MAX_PAIRS // robots**2))
+    with Progress(quiet=options.quiet) as progress:
+        if robots > LARGE and not options.quiet:
+            progress.update("episodes executed", 0, episodes, note=_duration(run, episodes))
+        evaluation = evaluate(run, episodes, seed, on_progress=progress.update)
     valid = int(evaluation.validity.valid.sum())
-    summary = f"{robots} robots, {EPISODES} starts: {valid} ended in a valid pattern"
+    starts = "1 start" if episodes == 1 else f"{episodes} starts"
+    summary = f"{robots} robots, {starts}: {valid} ended in a valid pattern"
     if options.animation is not None:
         print(summary)
         return _draw(plots.Recording(run.experiment, evaluation.trajectories), Path(), options)
-    folder = Path(options.out or f"runs/{objective}-{sensing}-{scheduler}-{robots}-{start}-seed{seed}")
     run.save(folder)
     evaluation.save(folder)
     print(summary)
     return _draw(plots.Recording.open(folder), RunFolder(folder).figures, options)
+
+
+def _duration(run: Run, episodes: int) -> str:
+    """Returns how long so many episodes will take, in words, by the time of some steps."""
+    from murmurate.discovery.cascade import CHUNK
+
+    experiment = run.experiment
+    # Cut off after one step, a rollout still executes a whole chunk.
+    short = run.under(replace(experiment, rest=replace(experiment.rest, max_steps=1)))
+    short.rollout(episodes)  # compiles
+    begun = time.perf_counter()
+    short.rollout(episodes)
+    seconds = (time.perf_counter() - begun) / CHUNK
+    # From anywhere, robots come from half of the world's side away, and then must be seen to rest.
+    world, window = experiment.world, experiment.rest_in_steps.window
+    steps = experiment.scheduler.period * world.half_width / world.max_speed + window
+    return f"about {steps:,.0f} steps of {seconds:.2g} s: {_words(steps * seconds)}"
+
+
+def _words(seconds: float) -> str:
+    """Writes a time in its natural unit."""
+    for unit, name in ((3600, "hours"), (60, "minutes")):
+        if seconds >= 2 * unit:
+            return f"{seconds / unit:.0f} {name}"
+    return f"{seconds:.0f} seconds"
 
 
 def _draw(recording: Recording, out: Path, options: Namespace) -> int:
@@ -112,10 +154,18 @@ def _draw(recording: Recording, out: Path, options: Namespace) -> int:
 
 
 def _draw_patterns(folders: list[Path], out: Path, trust: bool) -> int:
+    """Draws the patterns of several runs, each named by its folder and the fields that tell it from the others."""
     from murmurate import plots
+    from murmurate.runs import table
 
     recordings = [plots.Recording.open(folder, trust) for folder in folders]
-    names = [recording.experiment.name for recording in recordings]
-    plots.save(plots.patterns_figure(recordings, names), out / "patterns.png")
+    names = [folder.resolve().name for folder in folders]
+    if len(set(names)) < len(names):
+        names = [str(folder) for folder in folders]
+    names = [name.encode("utf-8", "replace").decode() for name in names]  # fonts have no bytes of other encodings
+    notes = table.differences([recording.experiment for recording in recordings])
+    for name, note in zip(names, notes, strict=True):
+        print(f"{name}{': ' * bool(note)}{note}")
+    plots.save(plots.patterns_figure(recordings, names, notes), out / "patterns.png")
     print(f"picture: {out / 'patterns.png'}")
     return 0

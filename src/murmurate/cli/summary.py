@@ -7,6 +7,7 @@ from pathlib import Path
 from rich.console import Console
 
 from murmurate.runs import presets, table
+from murmurate.runs.failures import describe_failures
 from murmurate.runs.folder import RECORD, RunFolder
 from murmurate.runs.run import Run
 
@@ -14,13 +15,15 @@ __all__ = ["draw", "print_results"]
 
 
 def print_results(run: Run, folder: RunFolder) -> None:
-    """Prints the evaluation of a run beside the paper's, where it has one, and names a new record.
+    """Prints the evaluation of a run beside the paper's, where it has one, what failed and why, and a new record.
 
     Args:
         run: The run.
         folder: The folder of its evaluation.
     """
     Console().print(table.as_rich(*table.comparison(folder.evaluation(), presets.paper_row(run.experiment))))
+    for line in describe_failures(run.experiment, folder.trajectories()):
+        print(line)
     if folder.record() is not None:
         print(f"A valid pattern beats the best known: {folder.path / RECORD} is the new record.")
 

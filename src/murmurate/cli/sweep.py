@@ -8,15 +8,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from murmurate.cli.arguments import Parser
+from murmurate.cli.main import FAILED, NOTHING_VALID, TOO_FEW_VALID
 from murmurate.errors import UsageError, check_choice
 
 if TYPE_CHECKING:
     from murmurate.runs.execute import Executor
 
 __all__ = ["run"]
-
-NOTHING_VALID = 3
-FAILED = 4
 
 BACKENDS = ("local", "ray", "slurm")
 RETRIES = 2
@@ -26,7 +24,8 @@ def run(argv: Sequence[str]) -> int:
     """Runs the verb.
 
     Returns:
-        0; 3 when no run discovered a valid pattern; 4 when a run failed as often as it may.
+        0; 3 when no run discovered a valid pattern; 4 when a run failed as often as it may; 5 when no run discovered as
+        many as its discovery.required_valid asks for.
     """
     options, _ = _parser().parse(argv)
     check_choice("--backend", options.backend, BACKENDS)
@@ -92,15 +91,15 @@ def _executor(options: Namespace, out: Path) -> Executor:
 def _report(rows: list[dict[str, Any]], out: Path) -> int:
     """Prints the results of finished runs, and which failed; returns the exit status."""
     from murmurate.runs import table
+    from murmurate.runs.folder import RunFolder
     from murmurate.runs.sweep import CSV
     from murmurate.runs.worker import LOG
 
     done = [row for row in rows if row["status"] == "done"]
     failed = [row for row in rows if row["status"] == "failed"]
     if done:
-        results = table.results((out / row["run"] for row in done), trust=True)
-        cells = [(row["run"], *result[3:]) for row, result in zip(done, results, strict=True)]
-        print(table.as_markdown(("run", *table.RESULTS[3:]), cells), end="")
+        names = [row["run"] for row in done]
+        print(table.as_markdown(*table.side_by_side([out / name for name in names], True, names)), end="")
     print(f"table: {out / CSV}")
     for row in failed:
         log = out / row["run"] / LOG
@@ -111,4 +110,8 @@ def _report(rows: list[dict[str, Any]], out: Path) -> int:
     if not any(row["valid_pattern"] for row in done):
         print(f"No valid pattern was discovered. The runs are kept in {out}.")
         return NOTHING_VALID
+    required = {row["run"]: RunFolder(out / row["run"]).experiment(trust=True).discovery.required_valid for row in done}
+    if all(row["valid"] < required[row["run"]] for row in done):
+        print("No run formed valid patterns from the share of starts that discovery.required_valid asks for.")
+        return TOO_FEW_VALID
     return 0

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import csv
 import io
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -142,10 +144,11 @@ class Waypoints:
         speed, fastest = self.scale.robot_speed, self.fastest
         if speed is not None and fastest > speed:
             period = self.scale.seconds * fastest / speed
-            raise InputError("--robot-speed", speed, f"at least {fastest:.4g} m/s; or --period at least {period:.4g}")
+            allowed = f"at least {_at_least(fastest)} m/s; or --period at least {_at_least(period)}"
+            raise InputError("--robot-speed", speed, allowed)
         if self.nearest <= 2 * self.radius:
             scale = self.scale.metres * 2 * self.radius / self.nearest
-            allowed = f"less than {self.nearest / 2:.4g} m, as centres come; or --scale greater than {scale:.4g}"
+            allowed = f"less than {_at_most(self.nearest / 2)} m, as centres come; or --scale above {_at_least(scale)}"
             raise InputError("--robot-radius", self.radius, allowed)
 
     def write(self, path: str | Path, kind: Format) -> None:
@@ -163,9 +166,9 @@ class Waypoints:
             "robots": self.experiment.world.robots,
             "metres_per_world_unit": self.scale.metres,
             "seconds_per_step": self.scale.seconds,
-            "robot_radius_m": round(self.radius, DIGITS),
-            "fastest_m_per_s": round(self.fastest, DIGITS),
-            "least_distance_of_centres_m": round(self.nearest, DIGITS),
+            "robot_radius_m": self.radius,
+            "fastest_m_per_s": self.fastest,
+            "least_distance_of_centres_m": self.nearest,
         }
 
     def as_csv(self) -> str:
@@ -177,9 +180,8 @@ class Waypoints:
         rows.writerow(COLUMNS)
         for episode, times, positions in zip(self.episodes, self.times, self.positions, strict=True):
             for time, configuration in zip(times, positions, strict=True):
-                rows.writerows(
-                    (episode, f"{time:g}", robot, *map(_metres, at)) for robot, at in enumerate(configuration)
-                )
+                points = enumerate(configuration)
+                rows.writerows((episode, _exact(time), robot, *map(_exact, at)) for robot, at in points)
         return text.getvalue()
 
     def as_dict(self) -> dict[str, Any]:
@@ -219,5 +221,26 @@ def _nearest(positions: np.ndarray, durations: np.ndarray, velocities: np.ndarra
     return float(closest_approach(positions[: len(moves)], moves)[:, others].min())
 
 
-def _metres(value: float) -> str:
-    return f"{value:.{DIGITS}f}"
+def _exact(value: float) -> str:
+    """Writes a number so that reading it gives the same one, at any magnitude: what was checked is what is written."""
+    return repr(float(value))
+
+
+def _at_least(value: float, digits: int = 4) -> str:
+    """Writes a number with a few digits, rounded up: an advice that can be followed."""
+    return _rounded(value, digits, math.ceil)
+
+
+def _at_most(value: float, digits: int = 4) -> str:
+    """Writes a number with a few digits, rounded down."""
+    return _rounded(value, digits, math.floor)
+
+
+def _rounded(value: float, digits: int, rounding: Callable[[float], int]) -> str:
+    if not value:
+        return "0"
+    unit = 10.0 ** (math.floor(math.log10(abs(value))) - digits + 1)
+    exact = round(value / unit)
+    # What has so few digits already stays as it is, whatever the last bit of the quotient.
+    steps = exact if math.isclose(exact * unit, value, rel_tol=1e-12) else rounding(value / unit)
+    return f"{steps * unit:.{digits}g}"

@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int
 from murmurate.discovery import check_validity, policy_name
 from murmurate.errors import InputError
 from murmurate.runs.experiment import ExperimentConfig
-from murmurate.runs.folder import RunFolder
+from murmurate.runs.folder import RunFolder, describe_starts, is_fresh
 from murmurate.types import Trajectories
 
 __all__ = ["Episode", "Recording", "TrainingCurve"]
@@ -80,11 +80,13 @@ class Recording:
         experiment: The experiment.
         trajectories: The episodes of an evaluation.
         training: A curve for each policy; none where its training is not known.
+        starts: Where the episodes began, in words, where not at fresh starts of the experiment.
     """
 
     experiment: ExperimentConfig
     trajectories: Trajectories
     training: Sequence[TrainingCurve] = ()
+    starts: str = ""
 
     @classmethod
     def open(cls, run: str | os.PathLike[str], trust: bool = False) -> Recording:
@@ -99,8 +101,9 @@ class Recording:
         """
         folder = RunFolder(run)
         folder.verify()
-        config = folder.experiment(trust)
-        return cls(config, folder.trajectories(config), _curves(folder.metrics()))
+        config, summary = folder.experiment(trust), folder.evaluation()
+        starts = "" if is_fresh(summary) else describe_starts(summary)
+        return cls(config, folder.trajectories(config), _curves(folder.metrics()), starts)
 
     def __repr__(self) -> str:
         return f"Recording({self.experiment.name}: {self.trajectories!r})"

@@ -164,7 +164,8 @@ def reward_figure(recording: Recording, episode: int | None = None) -> Figure:
 def describe_swarm(recording: Recording) -> str:
     """Returns how many robots start from what."""
     kind = recording.experiment.start.name
-    return f"{recording.experiment.world.robots} robots, {'given' if kind == 'file' else kind} start"
+    starts = recording.starts or f"{'given' if kind == 'file' else kind} start"
+    return f"{recording.experiment.world.robots} robots, {starts}"
 
 
 def describe_goal(recording: Recording) -> str:

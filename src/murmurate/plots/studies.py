@@ -14,6 +14,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 from matplotlib.text import Text
 from matplotlib.ticker import MaxNLocator
+from matplotlib.transforms import ScaledTranslation
 
 from murmurate.analysis.measures import fit_line
 from murmurate.errors import InputError, check_number
@@ -44,12 +45,15 @@ __all__ = ["Growth", "PaperPoint", "comparison_figure", "failures_figure", "grow
 # The patterns of several runs
 
 
-def patterns_figure(recordings: Sequence[Recording], labels: Sequence[str]) -> Figure:
+def patterns_figure(
+    recordings: Sequence[Recording], labels: Sequence[str], notes: Sequence[str] | None = None
+) -> Figure:
     """Draws the final patterns of several runs side by side, each to its own scale, its start beside its name.
 
     Args:
         recordings: The runs; of each, its typical episode is drawn.
         labels: What to call them.
+        notes: What else tells them apart, such as fields that differ; empty where nothing does.
 
     Returns:
         A figure 10 inches wide: one row of up to three runs, two rows of more.
@@ -61,20 +65,21 @@ def patterns_figure(recordings: Sequence[Recording], labels: Sequence[str]) -> F
         raise InputError("labels", list(labels), f"one for each of at least one run (runs: {len(recordings)})")
     rows = 1 if len(recordings) <= 3 else 2
     columns = -(-len(recordings) // rows)
-    gap, head, foot = 0.3, 0.72, 0.3
+    notes = notes or [""] * len(labels)
+    gap, head, foot = 0.3, 0.72, 0.48 if any(notes) else 0.3
     side = min(3.0, (WIDTH - 0.3 - (columns - 1) * gap) / columns)
     left = (WIDTH - columns * side - (columns - 1) * gap) / 2
     height = head + side + foot
     figure = new_page(rows * height + 0.1)
-    for index, (recording, label) in enumerate(zip(recordings, labels, strict=True)):
+    for index, (recording, label, note) in enumerate(zip(recordings, labels, notes, strict=True)):
         row, column = divmod(index, columns)
         corner = left + column * (side + gap), (rows - 1 - row) * height + foot
-        _draw_final_pattern(figure, recording, label, corner, side)
+        _draw_final_pattern(figure, recording, label, note, corner, side)
     return figure
 
 
 def _draw_final_pattern(
-    figure: Figure, recording: Recording, label: str, corner: tuple[float, float], side: float
+    figure: Figure, recording: Recording, label: str, note: str, corner: tuple[float, float], side: float
 ) -> None:
     """Draws one run's final pattern, its name above, and its start small beside the name."""
     episode, world = recording.episode(), recording.experiment.world
@@ -94,11 +99,23 @@ def _draw_final_pattern(
         style = {"fontsize": TEXT, "color": MUTED, "parse_math": False} | style
         return ax.text(style.pop("x", 0), 1 + inches / side, text, transform=ax.transAxes, **style)
 
-    name = write(0.47, label, fontsize=HEAD, fontweight="bold", color=INK)
-    write(0.47, describe_goal(recording), x=name.get_window_extent().width / ax.bbox.width + 0.03)
-    write(0.27, describe_swarm(recording))
-    write(0.09, sight, color=MUTED if complete else WARNING)
+    def fit(text: Text, right: float) -> float:
+        """Cuts a text in the middle until it ends left of a place; returns where it ends, both in panel widths."""
+        whole = kept = text.get_text()
+        while (end := (text.get_window_extent().x1 - ax.bbox.x0) / ax.bbox.width) > right and len(kept) > 3:
+            kept = kept[:-1]
+            text.set_text(f"{kept[: len(kept) // 2]}…{whole[len(whole) - (len(kept) - len(kept) // 2) :]}")
+        return end
+
+    room = 1 - (small + 0.05) / side
+    end = fit(write(0.47, label, fontsize=HEAD, fontweight="bold", color=INK), room)
+    goal = write(0.47, describe_goal(recording), x=end + 0.03)
+    if goal.get_window_extent().x1 > ax.bbox.x0 + room * ax.bbox.width:
+        goal.remove()
+    fit(write(0.27, describe_swarm(recording)), room)
+    fit(write(0.09, sight, color=MUTED if complete else WARNING), room)
     write(-side - 0.105, f"{episode.steps} steps", x=1, ha="right", va="center")
+    fit(write(-side - 0.285, note, va="center"), 1.0)
 
 
 # Growth with the swarm's size
@@ -269,6 +286,9 @@ Row = Mapping[str, Any]
 
 _MARKERS = "osD^vPX"
 _METHOD_COLORS = (INK, *(policy_color(index) for index in range(5)), WARNING, MUTED)
+MARKER = 4
+DODGE = 2 * MARKER
+"""Size of a marker, and width over which methods at the same place are spread, points: half of it on either side."""
 MAX_FAILURES = 30
 """Where there are more failures than this, only the worst of each condition is drawn."""
 MAX_TICKS = 12
@@ -329,13 +349,17 @@ def failures_figure(rows: Sequence[Row], worlds: Mapping[int, WorldConfig]) -> F
         A figure 10 inches wide.
 
     Raises:
-        InputError: No row has a failure.
+        InputError: There is no row.
     """
+    if not rows:
+        raise InputError("rows", list(rows), "at least one")
     failures = [(row, failure) for row in rows for failure in row["worst"]]
     if len(failures) > MAX_FAILURES:
         failures = [(row, row["worst"][0]) for row in rows if row["worst"]]
     if not failures:
-        raise InputError("rows", len(rows), "some that have failures")
+        figure = new_page(0.55)
+        draw_head(figure, "The worst failures", f"none in {sum(row['episodes'] for row in rows):,} episodes")
+        return figure
     columns, side = 5, 1.7
     lines = math.ceil(len(failures) / columns)
     figure = new_page(0.55 + lines * (side + 0.55))
@@ -364,18 +388,22 @@ def _condition(row: Row) -> str:
 
 
 def _draw_methods(ax: Axes, rows: Sequence[Row], looks: Mapping[str, Mapping[str, Any]]) -> None:
-    """Draws one line for each method, shifted a little so that intervals do not cover each other."""
+    """Draws one line for each method, shifted by a marker at most so that intervals do not cover each other."""
     sizes = sorted({row["robots"] for row in rows})
     shown = [method for method in looks if any(row["method"] == method for row in rows)]
     for index, method in enumerate(shown):
         points = sorted((row for row in rows if row["method"] == method), key=lambda row: row["robots"])
-        x = np.array([sizes.index(row["robots"]) for row in points]) + 0.06 * (index - (len(shown) - 1) / 2)
+        x = np.array([sizes.index(row["robots"]) for row in points])
+        # In points, not in robots: however many methods there are, each stays over the number that it has.
+        aside = DODGE * (index / (len(shown) - 1) - 0.5) if len(shown) > 1 else 0.0
+        shift = ScaledTranslation(aside / 72, 0, ax.figure.dpi_scale_trans)
         share = np.array([100 * row["valid"] / row["episodes"] for row in points])
         low, high = 100 * np.array([row["interval"] for row in points]).T
         leading = method == next(iter(looks))
         weight: dict[str, Any] = {"linewidth": 1.6 if leading else 1.0, "zorder": 4 if leading else 3}
         error = np.abs([share - low, high - share])
-        ax.errorbar(x, share, yerr=error, markersize=4, elinewidth=0.8, **weight, **looks[method])
+        place: dict[str, Any] = {"markersize": MARKER, "elinewidth": 0.8, "transform": ax.transData + shift}
+        ax.errorbar(x, share, yerr=error, **place, **weight, **looks[method])
     ax.set(xlim=(-0.5, len(sizes) - 0.5), ylim=(-4, 104))
     # Where there is no room for every number, every other one, the last among them.
     stride = -(-len(sizes) // MAX_TICKS)

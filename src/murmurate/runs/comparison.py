@@ -321,7 +321,8 @@ class ConditionJob(Job):
     def run(self, on_progress: Any = None) -> None:
         """See `Job`."""
         self.prepare()
-        files.write_json(self.folder / ROW, _evaluate(self.comparison, self.condition, self._policies()))
+        row = _evaluate(self.comparison, self.condition, self._policies(), on_progress)
+        files.write_json(self.folder / ROW, row)
 
     def _policies(self) -> tuple[Any, ...]:
         if self.learned is not None:
@@ -491,10 +492,16 @@ def _read_rows(path: Path, settings: Mapping[str, Any]) -> dict[Condition, dict[
 
 
 @prng.reproducible()
-def _evaluate(comparison: Comparison, condition: Condition, policies: tuple[Any, ...]) -> dict[str, Any]:
+def _evaluate(
+    comparison: Comparison, condition: Condition, policies: tuple[Any, ...], on_progress: Any = None
+) -> dict[str, Any]:
     """Runs a method under one condition, and returns its row of the table."""
-    problem = comparison.problem(condition)
-    parts = [_measure(problem, batch) for batch in _rollouts(comparison, problem, policies, condition.start)]
+    problem, parts, done = comparison.problem(condition), [], 0
+    for batch in _rollouts(comparison, problem, policies, condition.start):
+        parts.append(_measure(problem, batch))
+        done += len(batch.lengths)
+        if on_progress is not None:
+            on_progress("episodes", done, comparison.episodes)
     joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     valid, count = joined["valid"], len(joined["valid"])
     known = best_known(Target(problem.world, problem.objective))

@@ -32,6 +32,7 @@ __all__ = [
     "OLD_USE",
     "USE",
     "Leaf",
+    "described",
     "dump_toml",
     "from_dict",
     "leaves",
@@ -225,11 +226,33 @@ def parse(kind: Any, text: str, path: str) -> Any:
         return None
     if get_origin(inner) is tuple:
         items = [item.strip() for item in text.split(",")] if text.strip() else []
-        return tuple(parse(item_kind, item, path) for item_kind, item in _items(inner, items, text, path))
+        try:
+            return tuple(parse(item_kind, item, path) for item_kind, item in _items(inner, items, text, path))
+        except InputError:
+            raise InputError(path, text, _described_text(kind)) from None
     value: Any = text
     with contextlib.suppress(KeyError, ValueError):  # text that cannot be read stays text, which is then refused
         value = _READERS.get(inner, str)(text)
-    return _converted(inner, value, path)
+    try:
+        return _converted(inner, value, path)
+    except InputError:
+        if inner not in (int, float) or "," not in text:
+            raise
+        example = text.replace(",", ".") if inner is float and text.count(",") == 1 else text.replace(",", "")
+        raise InputError(path, text, f"{described(kind)} without commas, such as {example}") from None
+
+
+def _described_text(kind: Any) -> str:
+    """Returns in words how the items of a tuple are written in a flag."""
+    inner, or_none = optional(kind)
+    items = get_args(inner)
+    examples = {int: ("32", "16"), float: ("0.5", "1.5"), bool: ("true", "false"), str: ("a", "b")}
+    if items[-1] is Ellipsis:
+        what, items = f"{described(items[0]).removeprefix('an ').removeprefix('a ')}s", (items[0],) * 2
+    else:
+        what = f"{len(items)} values"
+    example = ",".join(examples.get(item, get_args(item))[index % 2] for index, item in enumerate(items))
+    return f"{what}, separated by commas, such as {example}" + (f", or {NONE}" if or_none else "")
 
 
 def spelled(value: Any) -> str:
@@ -251,7 +274,7 @@ def load_toml(path: str | Path, follow: bool = True) -> dict[str, Any]:
         OSError: The file cannot be read, or is too large.
     """
     try:
-        text = untrusted.read(path, MAX_TOML_BYTES, follow).decode()
+        text = untrusted.read(path, MAX_TOML_BYTES, follow).decode("utf-8-sig")
         # tomllib takes a time that grows with the square of the parts of a key.
         if any(piece.count(".") > MAX_KEY_PARTS for piece in re.split(r"[=,{}\[\]\n\"']", text)):
             raise ValueError(f"a key has more than {MAX_KEY_PARTS} parts")
@@ -313,7 +336,7 @@ def _build(cls: Any, current: Any, data: Any, where: str, importer: Importer) ->
             return dataclasses.replace(current, **values)
         for field in dataclasses.fields(cls):
             if field.name not in values and field.default is field.default_factory is dataclasses.MISSING:
-                raise InputError(field.name, None, f"given ({_described(kinds[field.name])})")
+                raise InputError(field.name, None, f"given ({described(kinds[field.name])})")
         return cls(**values)
     except InputError as error:
         raise InputError(_join(where, error.field), error.value, error.allowed) from None
@@ -388,7 +411,7 @@ def _converted(kind: Any, value: Any, path: str) -> Any:
         with contextlib.suppress(OverflowError):
             value = float(value)
     if value not in get_args(inner) if get_origin(inner) is Literal else type(value) is not inner:
-        raise InputError(path, value, _described(kind))
+        raise InputError(path, value, described(kind))
     return value
 
 
@@ -398,7 +421,7 @@ def _items(kind: Any, items: Sequence[Any], given: Any, path: str) -> list[tuple
     if kinds[-1] is Ellipsis:
         kinds = kinds[:1] * len(items)
     if len(kinds) != len(items):
-        raise InputError(path, given, _described(kind))
+        raise InputError(path, given, described(kind))
     return list(zip(kinds, items, strict=True))
 
 
@@ -410,7 +433,7 @@ def _plain(value: Any) -> Any:
     return [_plain(item) for item in value] if isinstance(value, tuple) else value
 
 
-def _described(kind: Any) -> str:
+def described(kind: Any) -> str:
     """Returns in words what a type allows."""
     inner, or_none = optional(kind)
     if _is_section(inner) or table_kind(inner) is not None:
@@ -418,7 +441,7 @@ def _described(kind: Any) -> str:
     elif get_origin(inner) is Literal:
         text = f"one of {', '.join(get_args(inner))}"
     elif get_origin(inner) is tuple:
-        text = f"a list [{', '.join('...' if item is Ellipsis else _described(item) for item in get_args(inner))}]"
+        text = f"a list [{', '.join('...' if item is Ellipsis else described(item) for item in get_args(inner))}]"
     else:
         text = _WORDS[inner]
     return f"{text} or {NONE}" if or_none else text

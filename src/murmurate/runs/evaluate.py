@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,8 +15,9 @@ from jaxtyping import Float
 from murmurate.analysis.optimum.best_known import BestKnown, best_known, is_record
 from murmurate.analysis.optimum.formation import Target
 from murmurate.discovery import Trajectories, Validity, bound_steps, check_validity
+from murmurate.errors import check_path, check_type
 from murmurate.runs.experiment import ExperimentConfig
-from murmurate.runs.folder import RunFolder
+from murmurate.runs.folder import RunFolder, describe_starts, is_fresh
 from murmurate.runs.presets import command
 from murmurate.runs.run import Run
 from murmurate.world import Configuration, Objective
@@ -122,6 +124,8 @@ class Evaluation:
         Raises:
             RunError: A file cannot be written.
         """
+        if not isinstance(folder, RunFolder):
+            check_path("folder", folder)
         record = self.record()
         target = folder if isinstance(folder, RunFolder) else RunFolder(folder)
         target.write_evaluation(self.summary(), self.arrays(), None if record is None else record.to_dict())
@@ -135,7 +139,8 @@ class Evaluation:
         """Returns the formation of the typical pattern, which notebooks show."""
         from murmurate.plots import Recording  # figures are drawn from evaluations
 
-        return Recording(self.experiment, self.trajectories)._repr_png_()
+        starts = "" if is_fresh({"starts": self.starts}) else describe_starts({"starts": self.starts})
+        return Recording(self.experiment, self.trajectories, starts=starts)._repr_png_()
 
 
 def evaluate(
@@ -144,6 +149,7 @@ def evaluate(
     seed: int = SEED,
     starts: Float[np.ndarray, "episodes robots 2"] | None = None,
     file: str | None = None,
+    on_progress: Callable[..., None] | None = None,
 ) -> Evaluation:
     """Executes a run's cascade and checks every episode by its recorded positions.
 
@@ -153,23 +159,30 @@ def evaluate(
         seed: Seed of the starts, of the robots' frames, of noise and of the scheduler.
         starts: Configurations to begin at instead of fresh ones, world units.
         file: Name of the file that those are from, for the record.
+        on_progress: Called as `on_progress(work, done, total, **values)` before and after each part of the work.
 
     Raises:
         InputError: A start has another shape, is in contact or lies outside the world.
     """
+    check_type("run", run, Run, "a run, such as murmurate.load(folder)")
+    report, count = on_progress or (lambda *_, **__: None), episodes if starts is None else len(starts)
+    report("episodes executed", 0, count)
     trajectories = run.rollout(episodes if starts is None else starts, seed)
+    report("episodes executed", count, count)
     experiment, first, final = run.experiment, trajectories.positions[:, 0], trajectories.final
     bound = [bound_steps(*ends, experiment.world.max_speed) for ends in zip(first, final, strict=True)]
     if starts is None:
         source = {"kind": "fresh"}
     else:
         source = {"kind": "given"} if file is None else {"kind": "file", "name": file}
+    validity = check_validity(trajectories, experiment.world, experiment.thresholds)
+    report("episodes checked", count, count, valid=float(validity.valid.mean()))
     return Evaluation(
         experiment=experiment,
         seed=seed,
         starts=source,
         trajectories=trajectories,
-        validity=check_validity(trajectories, experiment.world, experiment.thresholds),
+        validity=validity,
         bound=np.array(bound),
     )
 

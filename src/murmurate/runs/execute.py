@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import abc
 import contextlib
+import functools
 import os
 import subprocess
 import time
@@ -58,7 +59,7 @@ def run_jobs(
 ) -> dict[str, JobStatus]:
     """Runs every job that is not finished, and shows how far they are.
 
-    A terminal shows a live table; elsewhere a line is printed for every job that ends.
+    A terminal shows a live table; elsewhere lines are printed: for each chunk of work, and for every job that ends.
 
     Args:
         jobs: The jobs, each with a name of its own.
@@ -82,7 +83,7 @@ def run_jobs(
             if on_end is not None:
                 on_end(name)
 
-        executor.run(Batch(jobs, statuses, end, live_table.draw))
+        executor.run(Batch(jobs, statuses, end, live_table.draw, live_table.progress))
     return statuses
 
 
@@ -116,13 +117,15 @@ class Batch:
         jobs: The jobs.
         statuses: How far they are, by name; kept up to date.
         on_end: Called with the name of a job when a worker at it has ended.
-        on_tick: Called several times a second, or, in this process, whenever a job reports progress.
+        on_tick: Called several times a second, or, in this process, when a job begins.
+        on_progress: Called as `on_progress(name, work, done, total, **values)` when a job in this process goes on.
     """
 
     jobs: Sequence[Job]
     statuses: dict[str, JobStatus]
     on_end: Callable[[str], None] = lambda name: None
     on_tick: Callable[[], None] = lambda: None
+    on_progress: Callable[..., None] = lambda *_, **__: None
 
 
 class Executor(abc.ABC):
@@ -176,7 +179,8 @@ class InProcess(Executor):
                 statuses[job.name] = JobStatus("running", 1)
             batch.on_tick()
             try:
-                type(group[0]).run_together(group, lambda *_, **__: batch.on_tick())
+                names = group[0].name if len(group) == 1 else f"{len(group)} jobs"
+                type(group[0]).run_together(group, functools.partial(batch.on_progress, names))
             except BaseException:
                 for job in group:
                     statuses[job.name] = JobStatus("waiting", 1)

@@ -1,7 +1,8 @@
-"""The live table of many jobs, drawn on a terminal; elsewhere one line for every job that ends."""
+"""The live table of many jobs, drawn on a terminal; elsewhere lines: for each chunk of work and each job that ends."""
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Mapping, Sequence
 
@@ -10,7 +11,7 @@ from rich.live import Live
 from rich.table import Table
 
 from murmurate.errors import RunError, one_line
-from murmurate.runs import escape
+from murmurate.runs import escape, progress
 from murmurate.runs.jobs import Job, JobStatus
 
 __all__ = ["LiveTable"]
@@ -20,8 +21,15 @@ NONE = "-"
 ORDER = ("running", "failed", "waiting", "done")
 
 
+def print_progress(work: str, done: int, total: int, **values: float | str) -> None:
+    """Prints a line of progress on stderr."""
+    print(progress.line(work, done, total, **values), file=sys.stderr, flush=True)
+
+
 class LiveTable:
-    """Shows how far jobs are: a table on stderr where that is a terminal, and lines on stdout elsewhere.
+    """Shows how far jobs are: a table on stderr where that is a terminal, and lines elsewhere.
+
+    The lines about jobs that ended are on stdout, those about their progress on stderr.
 
     Args:
         jobs: The jobs.
@@ -35,6 +43,7 @@ class LiveTable:
         self._live = Live(console=self._console, auto_refresh=False, transient=True)
         self._begun, self._drawn = time.monotonic(), 0.0
         self._results: dict[str, str] = {}
+        self._printed: dict[str, tuple[str, int]] = {}
 
     @property
     def is_live(self) -> bool:
@@ -51,11 +60,28 @@ class LiveTable:
             self._live.stop()
 
     def draw(self) -> None:
-        """Draws the table again, twice a second at most."""
+        """Draws the table again, or prints which jobs have gone on; twice a second at most."""
         now = time.monotonic()
-        if self.is_live and now - self._drawn >= DRAW_SECONDS:
-            self._drawn = now
+        if self._quiet or now - self._drawn < DRAW_SECONDS:
+            return
+        self._drawn = now
+        if self.is_live:
             self._live.update(self.table(self._console.height - 6), refresh=True)
+            return
+        for name, status in self._statuses.items():
+            known = self._jobs[name].progress() if status.state == "running" else None
+            if known is not None and self._printed.get(name) != (known.stage, known.update):
+                self._printed[name] = (known.stage, known.update)
+                values = {name: getattr(known, name) for name in ("reward", "steps_per_second", "seconds_left")}
+                values = {name: value for name, value in values.items() if value is not None}
+                print_progress(f"{name}: {known.stage}", known.update, known.updates, **values)
+
+    def progress(self, name: str, work: str, done: int, total: int, **values: float | str) -> None:
+        """Takes what a job in this process reports: draws the table again, or prints a line."""
+        if self.is_live:
+            self.draw()
+        elif not self._quiet:
+            print_progress(f"{name}: {work}", done, total, **values)
 
     def report(self, name: str) -> None:
         """Prints that a worker at a job has ended; on a terminal, where the table shows it, only of one that failed."""

@@ -11,7 +11,7 @@ from typing import Literal
 
 from murmurate.errors import InputError, suggestion
 
-__all__ = ["EXPERIMENTS", "NOISE", "PaperExperiment", "check_experiment"]
+__all__ = ["ALLOWED", "EXPERIMENTS", "NOISE", "PaperExperiment", "check_experiment"]
 
 NOISE = 2.0
 """Half-width of the uniform noise on every start coordinate, in robot radii."""
@@ -69,13 +69,25 @@ EXPERIMENTS = {row.name: row for row in _ROWS}
 """The experiments by name."""
 
 
+ALLOWED = f"{', '.join(EXPERIMENTS)}, or a TOML file"
+"""What names an experiment, in words; help and errors say the same."""
+
+
 def check_experiment(word: str) -> None:
     """Checks that a word names an experiment of the paper or an existing TOML file.
 
     Raises:
         InputError: It does neither.
     """
-    if word in EXPERIMENTS or (word.endswith(".toml") and Path(word).is_file()):
+    if word in EXPERIMENTS:
         return
+    is_file = Path(word).is_file()
+    if word.endswith(".toml"):
+        if is_file:
+            return
+        reason = "it is a folder" if Path(word).is_dir() else "no such file"
+        raise InputError("experiment", word, f"an existing TOML file: {reason}")
+    if is_file:
+        raise InputError("experiment", word, f"one of {ALLOWED}, whose name ends in .toml")
     hint = suggestion(word.upper(), EXPERIMENTS)
-    raise InputError("experiment", word, f"one of {', '.join(EXPERIMENTS)}, or an existing TOML file{hint}")
+    raise InputError("experiment", word, f"one of {ALLOWED}{hint}")

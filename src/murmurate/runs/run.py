@@ -14,7 +14,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from murmurate import prng
 from murmurate.discovery import Cascade, Trajectories, build_cascade, policy_templates, rollout
-from murmurate.errors import BeyondTrainingWarning, InputError, RunError, check_number
+from murmurate.errors import BeyondTrainingWarning, InputError, RunError, check_number, check_path, check_type
 from murmurate.runs import files
 from murmurate.runs.experiment import EXPERIMENT, ExperimentConfig, check_seed
 from murmurate.runs.folder import MAX_EPISODES, METRICS, RunFolder
@@ -58,6 +58,7 @@ class Run:
             RunError: The folder is missing, unfinished, damaged or of an unknown version, or names modules and is not
                 trusted.
         """
+        check_path("folder", folder)
         run = RunFolder(folder)
         manifest = run.verify()
         experiment = run.experiment(trust)
@@ -80,6 +81,7 @@ class Run:
         Raises:
             InputError: The policies are for one size only, or there are too few or too many robots.
         """
+        check_number("robots", robots, 2, integer=True)
         current = self.experiment.world.robots
         if robots == current:
             return self
@@ -104,6 +106,7 @@ class Run:
         Raises:
             InputError: The experiment is impossible.
         """
+        check_type("experiment", experiment, ExperimentConfig, "an experiment, such as replace(run.experiment, ...)")
         return replace(self, experiment=experiment, cascade=build_cascade(experiment, self.cascade.policies))
 
     def save(self, folder: str | Path) -> Path:
@@ -112,6 +115,7 @@ class Run:
         Raises:
             RunError: The folder holds something already, or cannot be written to.
         """
+        check_path("folder", folder)
         target, metrics = RunFolder(folder), files.inside(self.folder, METRICS)
         target.create()
         target.write_experiment(self.experiment)
@@ -154,9 +158,11 @@ class Run:
             InputError: A configuration has another shape, is in contact or lies outside the world; or the key is no
                 seed.
         """
-        if isinstance(starts, int | np.integer):
+        if isinstance(starts, int | np.integer) and not isinstance(starts, bool):
             return rollout(self.cascade, self.starts(int(starts), key), rollout_seed(key))
         shape = f"of shape (episodes, {self.experiment.world.robots}, 2)"
+        if isinstance(starts, bool):
+            raise InputError("starts", starts, f"a number of starts, or an array {shape}")
         try:
             points = np.asarray(starts, float)
         except (TypeError, ValueError):
@@ -193,6 +199,10 @@ def check_draw(episodes: object, key: object) -> None:
     check_number("episodes", episodes, 1, MAX_EPISODES, integer=True)
     if not isinstance(key, jax.Array | np.ndarray):
         check_seed(int(key) if isinstance(key, np.integer) else key)
+    elif not (jax.numpy.issubdtype(key.dtype, jax.dtypes.prng_key) and key.shape == ()) and (
+        key.dtype != np.uint32 or key.shape != (2,)
+    ):
+        raise InputError("key", f"an array {key.dtype}{list(key.shape)}", "a seed, or one key of jax.random")
 
 
 def rollout_seed(key: int | PRNGKeyArray) -> int:

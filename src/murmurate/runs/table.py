@@ -10,13 +10,25 @@ from typing import Any
 from rich.table import Table
 
 from murmurate.errors import RunError
-from murmurate.runs import escape
+from murmurate.runs import config_io, escape
 from murmurate.runs.evaluate import evaluated
+from murmurate.runs.experiment import ExperimentConfig
 from murmurate.runs.folder import MANIFEST, RunFolder, describe_starts, is_fresh
 from murmurate.runs.paper import PaperExperiment
 from murmurate.runs.presets import paper_row
 
-__all__ = ["RESULTS", "Row", "as_markdown", "as_rich", "comparison", "gap", "paper_total", "results"]
+__all__ = [
+    "RESULTS",
+    "Row",
+    "as_markdown",
+    "as_rich",
+    "comparison",
+    "differences",
+    "gap",
+    "paper_total",
+    "results",
+    "side_by_side",
+]
 
 NONE = "-"
 Row = Sequence[str]
@@ -50,37 +62,97 @@ def comparison(summary: Mapping[str, Any], row: PaperExperiment | None) -> tuple
         row: The paper's experiment; None when it has none like this. It is left out where the starts are not fresh.
 
     Returns:
-        The header and the rows.
+        The header and the rows; without a column of the paper where it has nothing to say.
     """
     row = row if is_fresh(summary) else None
-    header = (f"{summary['episodes']} {describe_starts(summary)}", "paper", "this run")
-    paper = (
-        (f"{row.base_steps:.2f}", f"{row.auxiliary_steps:.2f}", paper_total(row)) if row is not None else (NONE,) * 3
-    )
+    paper: dict[str, str] = {}
+    if row is not None:
+        parts = f"{row.base_steps:.2f}", f"{row.auxiliary_steps:.2f}", paper_total(row)
+        paper = dict(zip(("base steps", "auxiliary steps", "total steps"), parts, strict=True))
     steps = [f"{summary[name]:.2f}" for name in ("base_steps", "auxiliary_steps", "total_steps")]
     low, high = (math.nan if end is None else end for end in summary["valid_interval"])
     valid = f"{_count(summary, 'valid')} (95%: {100 * low:.1f}-{100 * high:.1f}%)"
     episodes = summary["episodes"]
     thresholds = [
-        (f"{name} reached", NONE, f"{round(fraction * episodes)} of {episodes}")
+        (f"{name} reached", f"{round(fraction * episodes)} of {episodes}")
         for name, fraction in summary.get("thresholds", {}).items()
     ]
-    return header, [
-        ("base steps", paper[0], steps[0]),
-        ("auxiliary steps", paper[1], steps[1]),
-        ("total steps", paper[2], steps[2]),
-        ("kinematic bound, steps", NONE, f"{summary['bound_steps']:.2f}"),
-        ("total / bound", NONE, _times(summary)),
-        ("contact-free", NONE, _count(summary, "contact_free")),
-        ("inside", NONE, _count(summary, "inside")),
-        ("at rest", NONE, _count(summary, "at_rest")),
-        ("gathered", NONE, _count(summary, "gathered")),
-        ("mutually visible", NONE, _count(summary, "mutually_visible")),
-        ("safe", NONE, _count(summary, "safe")),
+    rows: list[Row] = [
+        ("base steps", steps[0]),
+        ("auxiliary steps", steps[1]),
+        ("total steps", steps[2]),
+        ("kinematic bound, steps", f"{summary['bound_steps']:.2f}"),
+        ("total / bound", _times(summary)),
+        ("contact-free", _count(summary, "contact_free")),
+        ("inside", _count(summary, "inside")),
+        ("at rest", _count(summary, "at_rest")),
+        ("gathered", _count(summary, "gathered")),
+        ("mutually visible", _count(summary, "mutually_visible")),
+        ("safe", _count(summary, "safe")),
         *thresholds,
-        ("valid pattern", NONE, valid),
-        ("gap to the best-known pattern", NONE, gap(summary)),
+        ("valid pattern", valid),
+        ("gap to the best-known pattern", gap(summary)),
     ]
+    header = f"{episodes} {describe_starts(summary)}"
+    if not paper:
+        return (header, "this run"), rows
+    return (header, "paper", "this run"), [(name, paper.get(name, NONE), ours) for name, ours in rows]
+
+
+def side_by_side(
+    folders: Iterable[str | Path], trust: bool = False, names: Sequence[str] | None = None
+) -> tuple[Row, list[Row]]:
+    """Returns finished runs as a table that tells them apart: by the folder, and by the fields in which they differ.
+
+    Args:
+        folders: The run folders.
+        trust: Whether modules that the runs' configurations name may be imported.
+        names: What to call the runs instead of by their folders.
+
+    Returns:
+        The header and the rows; the paper's column is left out where it is empty.
+
+    Raises:
+        RunError: A folder is missing, unfinished, damaged or of an unknown version.
+    """
+    folders = list(folders)
+    fields = differences([RunFolder(folder).experiment(trust) for folder in folders])
+    header = ["run", *RESULTS[:3], "fields", *RESULTS[3:]]
+    rows = [
+        [name, *row[:3], text or NONE, *row[3:]]
+        for name, text, row in zip(names or map(str, folders), fields, results(folders, trust), strict=True)
+    ]
+    for name in ("fields", "paper's total"):
+        column = header.index(name)
+        if all(row[column] == NONE for row in rows):
+            for row in (header, *rows):
+                del row[column]
+    return header, [*rows]
+
+
+def differences(experiments: Sequence[ExperimentConfig]) -> list[str]:
+    """Returns for each experiment the fields that tell it from the others of its name and policy, as `field=value`.
+
+    Seeds are not among them.
+    """
+    leaves = [{leaf.path: config_io.spelled(leaf.value) for leaf in config_io.leaves(one)} for one in experiments]
+    alike: dict[tuple[str, str], list[int]] = {}
+    for index, one in enumerate(experiments):
+        alike.setdefault((one.name, one.policy.name), []).append(index)
+    texts = [""] * len(experiments)
+    for group in alike.values():
+        paths = dict.fromkeys(path for index in group for path in leaves[index])
+        varied = [
+            path
+            for path in paths
+            if path != "seed"
+            and not path.startswith("modules.")
+            and len({leaves[index].get(path) for index in group}) > 1
+        ]
+        for index in group:
+            parts = (f"{path}={leaves[index].get(path, NONE)}" for path in varied)
+            texts[index] = ", ".join(parts)
+    return texts
 
 
 def results(folders: Iterable[str | Path], trust: bool = False) -> list[Row]:

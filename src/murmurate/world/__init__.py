@@ -36,6 +36,7 @@ from murmurate.world.starts import (
     check_configurations,
     check_start,
     draw_starts,
+    read_named_starts,
     read_starts,
     redraw_overlaps,
 )
@@ -84,6 +85,7 @@ __all__ = [
     "check_start",
     "draw_starts",
     "objective_signals",
+    "read_named_starts",
     "read_starts",
     "redraw_overlaps",
     "scaled_to",

@@ -62,6 +62,10 @@ class WorldConfig(eqx.Module):
         two_radii = 2 * self.radius
         if self.safe_distance <= two_radii:
             raise InputError("safe_distance", self.safe_distance, f"more than two radii ({two_radii:g})")
+        longest = 2 * max(self.half_width, self.half_height)
+        if self.max_speed > longest:
+            allowed = f"at most {longest:g}, the longer side of the world: no step inside it is longer"
+            raise InputError("max_speed", self.max_speed, allowed)
         check_number("collision_penalty", self.collision_penalty, 0, MAX_MAGNITUDE)
         check_choice("safety", self.safety, get_args(Safety))
 

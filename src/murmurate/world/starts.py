@@ -12,7 +12,7 @@ import io
 import math
 import operator
 from abc import abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar, Literal, get_args
@@ -44,6 +44,7 @@ __all__ = [
     "check_configurations",
     "check_start",
     "draw_starts",
+    "read_named_starts",
     "read_starts",
     "redraw_overlaps",
     "symmetric_layout",
@@ -154,7 +155,7 @@ class LayoutStart(Start):
     def _fitting(self, points: np.ndarray, world: WorldConfig) -> Float[np.ndarray, "1 robots 2"]:
         outside = (np.abs(points.astype(np.float32)) > world.bounds).any()
         if outside or (_batch_last.clearances(points, world.radius) <= 0).any():
-            raise InputError("world.robots", world.robots, f"few enough to fit the {self.name} start")
+            raise _does_not_fit(world, f"the {self.name} start")
         return points[None]
 
 
@@ -235,8 +236,9 @@ class FileStart(LayoutStart):
         # Not sooner: a start without a file has to exist for the command line to ask it for its fields.
         if not self.file:
             raise InputError("start.file", self.file, "the name of a CSV file of starts")
-        points = read_starts(self.file, world.robots)
-        check_configurations(points, world, self.file)
+        starts = read_named_starts(self.file, world.robots)
+        points = np.array(list(starts.values()))
+        check_configurations(points, world, self.file, list(starts))
         return points
 
     def fits_any_size(self) -> bool:
@@ -329,7 +331,7 @@ class SymmetricStart(Start):
         for family in self._families(world.robots):
             low, high = self._sizes(symmetric_layout(family, world.robots)[None], world)
             if low > high[0]:
-                raise InputError("robots", world.robots, f"few enough to fit the start {family}")
+                raise _does_not_fit(world, f"the start {family}")
         return self
 
     def _families(self, robots: int) -> tuple[Family, ...]:
@@ -471,8 +473,18 @@ def check_start(start: Start, world: WorldConfig) -> Start:
     if (np.abs(points) > world.bounds).any():
         raise InputError("start", start.name, f"inside |x| <= {world.half_width:g}, |y| <= {world.half_height:g}")
     if (_batch_last.clearances(np.moveaxis(points, 0, -1), world.radius) <= 0).any():
-        raise InputError("world.robots", world.robots, f"few enough to fit the {start.name} start without overlap")
+        raise _does_not_fit(world, f"the {start.name} start without overlap")
     return prepared
+
+
+def _does_not_fit(world: WorldConfig, what: str) -> InputError:
+    """Returns the error of a start that has no room; any of the sizes may be the one that is not as it was meant."""
+    return InputError(
+        "world.robots",
+        world.robots,
+        f"few enough to fit {what} (or make world.half_width = {world.half_width:g} or "
+        f"world.half_height = {world.half_height:g} larger, or world.radius = {world.radius:g} smaller)",
+    )
 
 
 SPARSE = 0.05
@@ -538,17 +550,37 @@ def read_starts(path: str | Path, robots: int) -> Float[np.ndarray, "starts robo
         The starts in the order of their first rows.
 
     Raises:
-        InputError: A column is missing, a value is no finite number, or a start has another number of robots.
+        InputError: See `read_named_starts`.
+    """
+    return np.array(list(read_named_starts(path, robots).values()))
+
+
+def read_named_starts(path: str | Path, robots: int) -> dict[str, Float[np.ndarray, "robots 2"]]:
+    """Reads a CSV file of starts as `read_starts` does, by what its column `start` calls them.
+
+    Raises:
+        InputError: A column is missing or there twice, a row has too many cells, a value is no finite number, or a
+            start has another number of robots.
     """
     source = str(path)
     try:
-        text = untrusted.read(path, MAX_STARTS_BYTES, follow=True).decode()
+        # Spreadsheets begin files with a byte-order mark.
+        text = untrusted.read(path, MAX_STARTS_BYTES, follow=True).decode("utf-8-sig")
         reader = csv.DictReader(io.StringIO(text, newline=""))
-        header = reader.fieldnames or ()
+        header = list(reader.fieldnames or ())
         if {"start", "x", "y"} - set(header):
             raise InputError(source, "another header", "a table with the header start,x,y")
+        twice = [name for name in ("start", "x", "y") if header.count(name) > 1]
+        if twice:
+            where = f"{source} line {reader.line_num}: header"
+            raise InputError(where, ",".join(header), f"without a second column {twice[0]}")
         starts: dict[str, list[tuple[float, float]]] = {}
         for row in reader:
+            extra: Any = row.pop(None, None)  # type: ignore[call-overload]
+            if extra:
+                # Numbers with decimal commas make such rows: their halves would be read as other numbers.
+                allowed = f"of {len(header)} cells, as the header is; decimals are written with a point"
+                raise InputError(f"{source} line {reader.line_num}: row", ",".join([*row.values(), *extra]), allowed)
             point = (_coordinate(source, reader.line_num, row, "x"), _coordinate(source, reader.line_num, row, "y"))
             starts.setdefault(str(row["start"]), []).append(point)
     except (OSError, ValueError, csv.Error) as error:
@@ -561,7 +593,7 @@ def read_starts(path: str | Path, robots: int) -> Float[np.ndarray, "starts robo
     for name, points in starts.items():
         if len(points) != robots:
             raise InputError(f"{source}: start {name}", f"{len(points)} robots", f"{robots} robots")
-    return np.array(list(starts.values()))
+    return {name: np.array(points) for name, points in starts.items()}
 
 
 def _coordinate(source: str, line: int, row: dict[str, str | None], column: str) -> float:
@@ -575,8 +607,16 @@ def _coordinate(source: str, line: int, row: dict[str, str | None], column: str)
     return value
 
 
-def check_configurations(points: Float[np.ndarray, "starts robots 2"], world: WorldConfig, source: str) -> None:
+def check_configurations(
+    points: Float[np.ndarray, "starts robots 2"], world: WorldConfig, source: str, names: Sequence[str] | None = None
+) -> None:
     """Checks that no given configuration is in contact or outside the world.
+
+    Args:
+        points: The configurations, world units.
+        world: Sizes of the world and its robots.
+        source: Where they are from, for error messages.
+        names: What their source calls them; by default their numbers, from 0 on.
 
     Raises:
         InputError: One is; the message names which.
@@ -584,9 +624,9 @@ def check_configurations(points: Float[np.ndarray, "starts robots 2"], world: Wo
     # Runs compute with float32, so the rounded positions are what must be free of contact.
     with np.errstate(over="ignore"):
         points = points.astype(np.float32).astype(float)
-    for index, configuration in enumerate(points):
+    for name, configuration in zip(names or range(len(points)), points, strict=True):
         if not (np.abs(configuration) <= world.bounds).all():
             allowed = f"inside |x| <= {world.half_width:g}, |y| <= {world.half_height:g}"
-            raise InputError(f"{source}: start {index}", "a robot outside", allowed)
+            raise InputError(f"{source}: start {name}", "a robot outside", allowed)
         if (_batch_last.clearances(configuration, world.radius) <= 0).any():
-            raise InputError(f"{source}: start {index}", "overlapping robots", f"more than {2 * world.radius:g} apart")
+            raise InputError(f"{source}: start {name}", "overlapping robots", f"more than {2 * world.radius:g} apart")

@@ -8,7 +8,7 @@ checks the result (`hop`).
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
@@ -93,21 +93,33 @@ class Formation:
         return cls(positions, target.value(positions), target.is_valid(positions))
 
 
-def search(config: OptimumConfig) -> list[Formation]:
+def search(config: OptimumConfig, on_progress: Callable[..., None] | None = None) -> list[Formation]:
     """Returns the best formations that annealing and polishing find.
+
+    Args:
+        config: The search.
+        on_progress: Called as `on_progress(work, done, total)` before and after each part of the work.
 
     Returns:
         Distinct local optima, best first; with `only_valid`, those that are not valid patterns come last.
     """
     target = config.target
     wide = _without_limits(target)
-    rings = [polish(polish(positions, wide), target) for positions in nested_rings(wide)]
-    formations = [Formation.from_positions(positions, target) for positions in rings] + annealed(config)
+    layouts, rings, report = list(nested_rings(wide)), [], on_progress or (lambda *_: None)
+    report("rings", 0, len(layouts))
+    for positions in layouts:
+        rings.append(Formation.from_positions(polish(polish(positions, wide), target), target))
+        report("rings", len(rings), len(layouts))
+    formations = rings + annealed(config, report)
     return distinct(formations, config.world.safe_distance, config.only_valid)
 
 
-def annealed(config: OptimumConfig) -> list[Formation]:
+def annealed(config: OptimumConfig, on_progress: Callable[..., None] | None = None) -> list[Formation]:
     """Returns the formations that annealing alone finds, without rings as starting points.
+
+    Args:
+        config: The search.
+        on_progress: See `search`.
 
     Returns:
         The polished ends of the best chains, as many as `config.polished`, with duplicates.
@@ -115,6 +127,8 @@ def annealed(config: OptimumConfig) -> list[Formation]:
     target, world = config.target, config.world
     if not config.polished:
         return []
+    report = on_progress or (lambda *_: None)
+    report("annealing, chains", 0, config.annealing.chains)
     chains = anneal(
         _score(target, config.only_valid),
         robots=world.robots,
@@ -124,7 +138,12 @@ def annealed(config: OptimumConfig) -> list[Formation]:
         seed=config.seed,
         config=config.annealing,
     )
-    return [Formation.from_positions(polish(positions, target), target) for positions in chains[: config.polished]]
+    report("annealing, chains", config.annealing.chains, config.annealing.chains)
+    best, formations = chains[: config.polished], []
+    for positions in best:
+        formations.append(Formation.from_positions(polish(positions, target), target))
+        report("polishing", len(formations), len(best))
+    return formations
 
 
 def nested_rings(target: Target) -> Iterator[Float[np.ndarray, "robots 2"]]:
@@ -146,12 +165,17 @@ def nested_rings(target: Target) -> Iterator[Float[np.ndarray, "robots 2"]]:
         yield _apart(np.stack([z.real, z.imag], axis=1), target)
 
 
-def hop(config: OptimumConfig) -> Formation:
+def hop(config: OptimumConfig, on_progress: Callable[..., None] | None = None) -> Formation:
     """Returns the best formation that SciPy's basin hopping from the regular ring finds: a check of `search`.
 
     Each of `config.hops` rounds puts one robot elsewhere, displaces all a little, moves them apart until they are a
     valid pattern again, and polishes the result. Metropolis' rule decides whether it is accepted.
+
+    Args:
+        config: The search.
+        on_progress: See `search`.
     """
+    rounds = itertools.count()  # SciPy reports the polished start as well
     target, world = config.target, config.world
     shape, rng = (world.robots, 2), np.random.default_rng(config.seed)
     wide = _without_limits(target)
@@ -173,6 +197,7 @@ def hop(config: OptimumConfig) -> Formation:
         smallest_ring(world.robots, world.radius, world.safe_distance).positions.ravel(),
         niter=config.hops,
         T=0.01,
+        callback=lambda *_: None if on_progress is None else on_progress("basin hopping", next(rounds), config.hops),
         take_step=displace,
         minimizer_kwargs={"method": descend},
         rng=rng,
