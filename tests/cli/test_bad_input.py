@@ -225,7 +225,7 @@ def test_a_full_disk(tiny_toml, discovered, refused, tmp_path):
     resource.setrlimit(resource.RLIMIT_FSIZE, (4096, hard))
     try:
         assert "cannot write to run: File too large" in refused("discover", tiny_toml, "--out", "run")
-        assert "cannot write" in refused("evaluate", discovered, "--episodes", "200")
+        assert "cannot write" in refused("evaluate", discovered, "--episodes", "200", "--quiet")
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert contents(discovered) == before
