@@ -130,7 +130,7 @@ class Reader:
             small += [] if "--methods" in words else ["--methods", "learned,circle"]
         status = main([*words, *small])
         # Nothing need have been learned in two updates.
-        assert status in ((0, 3) if words[0] == "discover" else (0,)), f"{self.page}: murmurate {' '.join(words)}"
+        assert status in ((0, 3, 5) if words[0] == "discover" else (0,)), f"{self.page}: murmurate {' '.join(words)}"
 
     def small_policy(self, words: list[str]) -> list[str]:
         """Returns the flags of a small policy: central compiles fastest; others, in swarms of three."""

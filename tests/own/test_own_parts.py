@@ -139,7 +139,7 @@ def test_the_same_from_python(experiment, run, tmp_path):
 
 
 def test_flags_reach_the_fields_of_ones_own_classes(experiment, tmp_path, capsys):
-    assert main(["discover", str(experiment), "--help"]) == 0
+    assert main(["discover", str(experiment), "--help-all"]) == 0
     text = capsys.readouterr().out
     assert "--start.gap" in text
     assert "Radius of the inner ring" in text
