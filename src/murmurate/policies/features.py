@@ -162,7 +162,8 @@ def _shadows(ux: Array, uy: Array, distance: Array, radius: float) -> Float[Arra
     into the next, and a robot as far as i is half of it nearer; see `TIE`.
     """
     half = radius / distance
-    wx, wy, level = ux / TIE, uy / TIE, jnp.log(distance) / (2 * TIE)
+    # Computed once for each pair: fused into the sum below, a logarithm would be computed for each triple.
+    wx, wy, level = jax.lax.optimization_barrier((ux * (1 / TIE), uy * (1 / TIE), jnp.log(distance) * (0.5 / TIE)))
     number = jax.lax.broadcasted_iota(jnp.int32, distance.shape[1:], 0)
 
     def third(j: int) -> tuple[Array, ...]:
