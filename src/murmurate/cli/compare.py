@@ -114,18 +114,13 @@ def _write(options: Namespace, comparison: Comparison) -> None:
     worlds = {row["robots"]: scaled_to(comparison.base.world, row["robots"]) for row in rows}
     plots.save(plots.failures_figure(learned, worlds), pictures[1])
     notes = [f"{escape.code(method)}: {text}" for method, text in deviations(rows).items()]
-    files.write_text(out / "comparison.md", _encodable(comparison_page.page(rows, commands, notes)))
+    files.write_text(out / "comparison.md", comparison_page.page(rows, commands, notes))
     if options.into is not None:
         page = Path(options.into)
         part = comparison_page.page(rows, commands, notes, f"{os.path.relpath(out, page.parent)}/")
-        files.write_text(page, comparison_page.put_into(page.read_text("utf-8"), _encodable(part)))
+        files.write_text(page, comparison_page.put_into(page.read_text("utf-8"), part))
     print(f"table: {out / 'comparison.md'}")
     print("pictures: " + ", ".join(map(str, pictures)))
-
-
-def _encodable(text: str) -> str:
-    """Replaces what UTF-8 cannot hold: a command line may name files in another encoding."""
-    return text.encode("utf-8", "replace").decode()
 
 
 def _line(row: dict[str, Any]) -> str:

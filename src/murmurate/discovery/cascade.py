@@ -108,9 +108,11 @@ class Cascade(eqx.Module):
         Returns:
             What happened, until the last episode ended.
         """
-        status, first = _begin(
-            self, jnp.moveaxis(jnp.asarray(starts, jnp.float32), 0, -1), jnp.asarray(seed, jnp.uint32)
-        )
+        positions = jnp.moveaxis(jnp.asarray(starts, jnp.float32), 0, -1)
+        # Committed to its device, as the weights of a training are and all that is computed with them: otherwise the
+        # second chunk would be another program than the first.
+        positions = jax.device_put(positions, positions.sharding)
+        status, first = _begin(self, positions, jnp.asarray(seed, jnp.uint32))
         parts = [jax.device_get(first)]
         while bool(jnp.any(status.moving())):
             status, part = _advance(self, status)

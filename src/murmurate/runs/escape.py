@@ -34,7 +34,7 @@ def code(value: object) -> str:
 
 def link(path: str) -> str:
     """Returns a relative path as the target of a link in Markdown."""
-    return quote(path.replace("\\", "/"))
+    return quote(path.replace("\\", "/"), errors="surrogateescape")
 
 
 def cell(value: Any) -> Any:
