@@ -190,18 +190,20 @@ def _events(wanted: bool) -> AbstractContextManager[Callable[[Path], None] | Non
 def _print_results(run: Run, folder: RunFolder) -> int:
     """Prints and draws a finished run; returns the exit status."""
     from murmurate.cli import summary
+    from murmurate.runs.evaluate import is_below
 
     summary.print_results(run, folder)
     print(f"picture: {summary.draw(folder)}")
-    share = folder.evaluation()["valid"]
+    evaluation = folder.evaluation()
     if not run.manifest["valid_pattern"]:
         print(f"No valid pattern was discovered. The run is kept in {folder.path}; try another --seed or more updates.")
         return NOTHING_VALID
     status = 0
     required = run.experiment.discovery.required_valid
-    if share < required:
+    if is_below(evaluation, required):
         status = TOO_FEW_VALID
-        print(f"Valid patterns from {share:.1%} of the starts; discovery.required_valid asks for {required:.1%}.")
+        share = f"{evaluation['valid']:.1%}"
+        print(f"Valid patterns from {share} of the starts; discovery.required_valid asks for {required:.1%}.")
     print(f"animation: murmurate show {folder.path}")
     print(f"other starts: murmurate evaluate {folder.path} --seed 1 --out {folder.path}-evaluation")
     return status

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ from murmurate.runs.presets import command
 from murmurate.runs.run import Run
 from murmurate.world import Configuration, Objective
 
-__all__ = ["EPISODES", "SEED", "Evaluation", "evaluate", "evaluated", "wilson"]
+__all__ = ["EPISODES", "SEED", "Evaluation", "evaluate", "evaluated", "is_below", "wilson"]
 
 EPISODES = 200
 """Episodes of an evaluation, as in the paper."""
@@ -223,6 +223,11 @@ def _measured(trajectories: Trajectories, validity: Validity) -> dict[str, Any]:
         "total_steps": total,
         "epochs": float(trajectories.epochs.mean()),
     }
+
+
+def is_below(summary: Mapping[str, Any], required_valid: float) -> bool:
+    """Returns whether fewer valid patterns formed than are required, by more than chance (95% interval)."""
+    return summary["valid_interval"][1] < required_valid
 
 
 def wilson(successes: int, trials: int, z: float = 1.96) -> tuple[float, float]:
