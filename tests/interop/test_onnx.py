@@ -178,7 +178,7 @@ def test_symmetric_swarms_are_ours_to_1e_5(one_policy, robots):
     policy, model = one_policy
     positions = symmetric(robots)
     (theirs,) = model.session().run(None, {"positions": positions})
-    ours = jnp.moveaxis(policy(jnp.moveaxis(jnp.asarray(positions), 0, -1)), -1, 0)
+    ours = np.moveaxis(act(policy, np.moveaxis(positions, 0, -1)), -1, 0)
     np.testing.assert_allclose(theirs, ours, atol=1e-5)
 
 
