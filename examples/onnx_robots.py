@@ -18,6 +18,8 @@ def main(path: str, robots: int | None = None, spacing: float = 6.0, max_steps: 
     session = onnxruntime.InferenceSession(path)
     about = session.get_modelmeta().custom_metadata_map
     robots, policies = robots or int(about["robots"]), len(about["policies"].split(","))
+    if robots > int(about.get("largest_swarm", robots)):
+        sys.exit(f"{path} is for swarms of at most {about['largest_swarm']} robots")
     grid = np.stack(np.meshgrid(*2 * [np.arange(np.ceil(np.sqrt(robots)))]), axis=-1).reshape(-1, 2)[:robots]
     noise = np.random.default_rng(0).uniform(-1, 1, grid.shape)
     positions = (spacing * (grid - grid.mean(axis=0)) + noise).astype(np.float32)[None]  # a batch of one swarm

@@ -14,6 +14,7 @@ __all__ = [
     "MAX_INTEGER",
     "MAX_MAGNITUDE",
     "BeyondTrainingWarning",
+    "ForkError",
     "InputError",
     "RunError",
     "UsageError",
@@ -73,11 +74,17 @@ class InputError(ValueError):
         allowed: What would have been allowed.
     """
 
-    def __init__(self, field: str, value: object, allowed: str) -> None:
-        self.field = field
+    def __init__(self, field: str | InputError, value: object = None, allowed: str = "") -> None:
+        # Who passes an error on from another process, such as Gymnasium's AsyncVectorEnv, makes a new one of it.
+        if isinstance(field, InputError):
+            field, value, allowed = field.field, field.value, field.allowed
+        self.field: str = field
         self.value = value
         self.allowed = allowed
         super().__init__(one_line(f"{one_line(field, 150)} = {shown(value)}: must be {allowed}"))
+
+    def __reduce__(self) -> tuple[type[InputError], tuple[str, object, str]]:
+        return type(self), (self.field, self.value, self.allowed)
 
 
 class RunError(Exception):
@@ -92,6 +99,10 @@ class UsageError(Exception):
 
     def __init__(self, message: str) -> None:
         super().__init__(one_line(message))
+
+
+class ForkError(RuntimeError):
+    """JAX had been started before this process was forked, and cannot compute in it."""
 
 
 class BeyondTrainingWarning(UserWarning):

@@ -17,6 +17,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Key, PRNGKeyArray
 
+from murmurate import forks
+
 __all__ = ["GENERATOR", "bernoulli", "key", "reproducible", "signs", "wrap"]
 
 GENERATOR = "threefry2x32"
@@ -28,7 +30,11 @@ def reproducible() -> Iterator[None]:
 
     A context manager, and a decorator as `@reproducible()`. It acts while programs are traced and compiled, so it
     belongs around the calls of jitted functions, not inside them.
+
+    Raises:
+        ForkError: JAX had been started before this process was forked: a computation would wait for ever.
     """
+    forks.check_can_compute()
     with jax.enable_x64(False), jax.threefry_partitionable(True), jax.default_prng_impl(GENERATOR):
         yield
 

@@ -39,8 +39,11 @@ def test_a_model_that_onnxruntime_runs(discovered, tmp_path, monkeypatch, capsys
 
 def test_one_policy_has_no_memory(discovered, tmp_path, capsys):
     out = str(tmp_path / "one.onnx")
-    assert main(["export", str(discovered), "--onnx", "--policy", "1", "--out", out]) == 0
+    assert main(["export", str(discovered), "--onnx", "--policy", "1", "--opset", "17", "--out", out]) == 0
     assert "input: memory" not in capsys.readouterr().out
+    from onnx import load
+
+    assert [each.version for each in load(out).opset_import] == [17]
 
 
 @pytest.mark.parametrize("kind", ["csv", "json"])
@@ -66,6 +69,8 @@ def test_wrong_words_are_one_line_and_write_nothing(discovered, tmp_path, monkey
         ("--trajectories", "csv"): "needs a RUN",
         (run, "--onnx", "--scale", "2"): "--scale is for --trajectories",
         (run, "--trajectories", "csv", "--policy", "0"): "--policy is for --onnx",
+        (run, "--trajectories", "csv", "--opset", "17"): "--opset is for --onnx",
+        (run, "--onnx", "--opset", "16"): "--opset = 16: must be an integer >= 17 and <= 23",
         (run, "--onnx", "--policy", "7"): "--policy = 7: must be 0 to 1",
         (run, "--trajectories", "csv", "--scale", "-1"): "--scale = -1.0",
         (run, "--trajectories", "csv", "--episodes", "0"): "--episodes = 0",

@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+import sys
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+
 import gymnasium
 import numpy as np
 import pytest
 from by_hand import CONFIG, SWARM, TRIANGLE, close, played, world
 from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env, data_equivalence
-from gymnasium.wrappers import FlattenObservation
+from gymnasium.wrappers import FlattenObservation, RecordVideo
 from matplotlib import pyplot
+from matplotlib.colors import to_rgb
 
 import murmurate.interop.gymnasium as adapter
 from murmurate.errors import InputError
 from murmurate.geometry import neighbors_and_visible
+from murmurate.interop.gathering import FPS, MAX_PATH, Camera
+from murmurate.plots.style import POLICIES
 from murmurate.world import ScatteredStart, WorldConfig, scaled_to
 
 
@@ -56,6 +63,80 @@ def test_a_frame_shows_the_configuration():
         assert (first != second).any()
         env.close()
         np.testing.assert_array_equal(env.render(), second)
+
+
+def path_pixels(picture):
+    """How much of a picture is in the blue of paths: nothing else is as blue."""
+    red, _, blue = np.moveaxis(picture.astype(int), -1, 0)
+    return (blue - red > 60).sum()
+
+
+def test_a_frame_shows_sight_lines_paths_and_the_step():
+    env = make(render_mode="rgb_array", max_speed=2.0)
+    at(env)
+    env.render()
+    swarm, ax = env.unwrapped._camera._swarm, env.unwrapped._camera._figure.axes[0]
+    near, seen = neighbors_and_visible(TRIANGLE, CONFIG.radius, CONFIG.scan_radius)
+    assert len(swarm.clear.get_segments()) == np.triu(near & seen & seen.T).sum() == 3
+    assert [text.get_text() for text in ax.texts] == ["step 0"]
+    places = [TRIANGLE, *(env.step(np.tile([0.9, 0.5], (3, 1)))[0] for _ in range(3))]
+    picture = env.render()  # without a picture of the steps between
+    assert [text.get_text() for text in ax.texts] == ["step 3"]
+    (paths,) = (lines for lines in ax.collections if len(lines.get_paths()) == 9)
+    expected = np.stack([places[:-1], places[1:]], axis=2).reshape(-1, 2, 2)
+    close(np.array([path.vertices for path in paths.get_paths()]), expected)
+    close(paths.get_colors()[-1][:3], to_rgb(POLICIES[0]))
+    at(env)
+    assert path_pixels(picture) > 10
+    assert path_pixels(env.render()) == 0  # a new episode has no path
+    assert [text.get_text() for text in ax.texts] == ["step 0"]
+
+
+def test_every_world_of_many_has_its_own_path():
+    env = gymnasium.make_vec(adapter.ENV_ID, num_envs=2, render_mode="rgb_array", **SWARM | {"max_speed": 4.0})
+    env.reset(seed=0, options={"positions": np.stack([TRIANGLE, TRIANGLE])})
+    moves = np.zeros((2, 3, 2), np.float32)
+    moves[1] = 1
+    env.step(moves)
+    still, moving = env.render()
+    assert path_pixels(still) == 0
+    assert path_pixels(moving) > 10
+    assert still.shape == moving.shape == (400, 480, 3)
+
+
+def test_paths_of_long_episodes_are_bounded():
+    camera = Camera(bare()._gathering, "rgb_array", ["rgb_array"])
+    episodes = SimpleNamespace(positions=TRIANGLE[None])
+    camera.follow(episodes, np.ones(1, bool))
+    for _ in range(MAX_PATH + 50):
+        camera.follow(episodes)
+    assert len(camera._paths[0]) == MAX_PATH + 1
+    assert camera._steps == [MAX_PATH + 50]
+
+
+def test_a_video_has_a_frame_for_every_step(monkeypatch, tmp_path):
+    videos = []
+
+    class ImageSequenceClip:
+        def __init__(self, frames, fps):
+            videos.append((len(frames), frames[0].shape, frames[0].dtype, fps))
+
+        def write_videofile(self, path, **_):
+            Path(path).touch()
+
+    names = ("moviepy", "moviepy.video", "moviepy.video.io", "moviepy.video.io.ImageSequenceClip")
+    modules = {name: ModuleType(name) for name in names}
+    modules[names[-1]].ImageSequenceClip = ImageSequenceClip
+    for name, module in modules.items():
+        monkeypatch.setitem(sys.modules, name, module)
+    env = RecordVideo(
+        make(render_mode="rgb_array", horizon=4), str(tmp_path / "videos"), episode_trigger=lambda _: True
+    )
+    at(env)
+    for _ in range(4):
+        env.step(np.zeros((3, 2)))
+    env.close()
+    assert videos == [(5, (400, 480, 3), np.uint8, FPS)]
 
 
 def test_a_window_is_drawn_at_every_step_and_closed_once():

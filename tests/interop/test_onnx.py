@@ -21,6 +21,8 @@ from murmurate.runs.run import Run
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")  # of what the converter imports
+    from onnx import ModelProto
+
     from murmurate.interop import onnx
     from murmurate.interop.onnx import programs
 
@@ -208,6 +210,74 @@ def test_a_view_may_leave_out_or_fill_up_whom_it_does_not_hold():
     np.testing.assert_allclose(few, many, atol=1e-6)
 
 
+EMPTY = np.zeros((3, 0, 2), np.float32)
+
+
+@pytest.mark.parametrize(("objective", "walls"), [("C1", False), ("C2", True)])
+def test_a_robot_that_sees_nobody_moves_as_one_whose_view_is_blank(objective, walls):
+    session = local(objective, walls)[1].session()
+    rng = np.random.default_rng(0)
+    inputs = {
+        each.name: rng.standard_normal((3, *each.shape[1:])).astype(np.float32) for each in session.get_inputs()[1:]
+    }
+    (alone,) = session.run(None, {"others": EMPTY, **inputs})
+    (blank,) = session.run(None, {"others": np.zeros((3, 4, 2), np.float32), **inputs})
+    assert alone.shape == (3, 2)
+    np.testing.assert_allclose(alone, blank, atol=1e-6)
+    assert np.isfinite(alone).all()
+
+
+def test_a_batch_may_be_empty(equivariant):
+    session = equivariant[1].session()
+    width = session.get_inputs()[1].shape[1]
+    positions, memory = np.zeros((0, ROBOTS, 2), np.float32), np.zeros((0, width), np.float32)
+    velocities, after = session.run(None, {"positions": positions, "memory": memory})
+    assert (velocities.shape, after.shape) == ((0, ROBOTS, 2), (0, width))
+    views = local("C2", False)[1].session()
+    assert views.run(None, {"others": np.zeros((0, 4, 2), np.float32)})[0].shape == (0, 2)
+    assert views.run(None, {"others": np.zeros((0, 0, 2), np.float32)})[0].shape == (0, 2)
+
+
+@pytest.mark.filterwarnings("default")
+def test_a_swarm_that_is_too_large_is_refused_by_the_name_of_the_bound(equivariant):
+    session = equivariant[1].session()
+    memory = np.zeros((1, session.get_inputs()[1].shape[1]), np.float32)
+    positions = configurations(programs.MAX_ROBOTS + 1, 1)
+    with pytest.raises(Exception, match="Name:'at_most_256_robots'"):
+        session.run(None, {"positions": positions, "memory": memory})
+    about = session.get_modelmeta().custom_metadata_map
+    assert about["largest_swarm"] == "256"
+    assert "largest_swarm" not in local("C2", False)[1].session().get_modelmeta().custom_metadata_map
+
+
+@pytest.mark.parametrize(("opset", "format_version"), [(17, 8), (None, 10)])
+def test_a_model_is_in_the_operators_and_the_format_that_older_runtimes_have(equivariant, opset, format_version):
+    run, newest = equivariant
+    model = newest if opset is None else onnx.export(run, opset=opset)
+    proto = ModelProto.FromString(model.data)
+    assert [(each.domain, each.version) for each in proto.opset_import] == [("", opset or 23)]
+    assert proto.ir_version == format_version
+    assert model.difference(run, 50) < onnx.TOLERANCE
+    positions = configurations(ROBOTS, 20)
+    memory = np.zeros((20, model.session().get_inputs()[1].shape[1]), np.float32)
+    theirs, ours = (each.session().run(None, {"positions": positions, "memory": memory}) for each in (model, newest))
+    for found, expected in zip(theirs, ours, strict=True):
+        np.testing.assert_allclose(found, expected, atol=1e-5)
+
+
+def test_robots_with_their_own_eyes_have_older_operators_too():
+    run = local("C2", False)[0]
+    model = onnx.export(run, opset=17)
+    assert model.difference(run, 50) < onnx.TOLERANCE
+    assert model.session().run(None, {"others": EMPTY})[0].shape == (3, 2)
+
+
+@pytest.mark.parametrize("opset", [16, 24, 17.5])
+def test_operators_of_other_versions_are_refused(equivariant, opset):
+    with pytest.raises(InputError, match=r"--opset = .*: must be an integer >= 17 and <= 23"):
+        onnx.export(equivariant[0], opset=opset)
+
+
 def test_the_check_finds_a_model_of_something_else(equivariant):
     run, model = equivariant
     assert model.difference(run, 250) < onnx.TOLERANCE
@@ -244,4 +314,6 @@ def test_the_example_runs_a_cascade_to_rest(equivariant, tmp_path, capsys):
     (tmp_path / "swarm.onnx").write_bytes(equivariant[1].data)
     assert module.main(str(tmp_path / "swarm.onnx"), 7).shape == (7, 2)
     assert "7 robots at rest" in capsys.readouterr().out
+    with pytest.raises(SystemExit, match="swarms of at most 256 robots"):
+        module.main(str(tmp_path / "swarm.onnx"), 257)
     assert "jax" not in path.read_text().split('"""')[2]

@@ -166,8 +166,35 @@ def test_an_episode_is_that_of_a_perceived_world():
         assert set(truncated.values()) == {number == 5}
         assert set(terminated.values()) == {False}
     assert env.agents == []
-    with pytest.raises(ResetNeeded):
-        env.step(everyone([0.0, 0.0]))
+
+
+@pytest.mark.parametrize("actions", [{}, everyone([0.0, 0.0]), {"robot_0": None}])
+def test_after_the_end_a_step_is_of_nobody(actions):
+    env = make(horizon=2)
+    assert env.agents == []
+    at(env)
+    env.step(everyone([0.5, 0.0]))
+    observations, *_ = env.step(everyone([0.5, 0.0]))
+    assert observations.keys() == set(NAMES)
+    for _ in range(2):
+        assert env.agents == []
+        assert env.step(actions) == ({}, {}, {}, {}, {})
+    close(env.state(), TRIANGLE + np.float32([0.5, 0]))
+    env.reset()
+    assert env.agents == NAMES
+    with pytest.raises(InputError):
+        env.step({})
+
+
+def test_loops_that_go_on_with_whom_is_left_see_everyone_and_then_nobody():
+    # As wrappers do that give dead agents blank observations, and vectors that step all environments together.
+    env, alive = make(horizon=3), []
+    env.reset(seed=0)
+    for _ in range(5):
+        observations, rewards, terminated, truncated, infos = env.step({name: np.zeros(2) for name in env.agents})
+        assert observations.keys() == rewards.keys() == terminated.keys() == truncated.keys() == infos.keys()
+        alive.append(len(observations))
+    assert alive == [3, 3, 3, 0, 0]
 
 
 def test_rewards_are_shared_or_each_robots_own():

@@ -284,3 +284,64 @@ def test_impossible_starts_are_refused():
         env.reset(options={"positions": triangles() * np.array([1, 1, 9, 1])[:, None, None]})
     with pytest.raises(InputError, match="reset_mask"):
         env.reset(options={"mask": None})
+
+
+def test_every_world_may_have_a_seed_of_its_own():
+    env, one = make(), gymnasium.make(ENV_ID, **SWARM)
+    seeds = [7, 1, 7, 3]
+    observation, _ = env.reset(seed=seeds)
+    for index, seed in enumerate(seeds):
+        np.testing.assert_array_equal(observation[index], one.reset(seed=seed)[0])
+    again = one.reset()[0]  # the starts that follow are those of the seed, too
+    np.testing.assert_array_equal(env.reset()[0][3], again)
+    np.testing.assert_array_equal(env.reset(seed=np.array(seeds))[0], observation)
+    np.testing.assert_array_equal(env.reset(seed=tuple(seeds))[0], observation)
+
+
+def test_a_world_without_a_seed_goes_on_as_it_was():
+    env, twin = make(), make()
+    for one in (env, twin):
+        one.reset(seed=5)
+    observation = env.reset(seed=[None, 2, None, None])[0]
+    np.testing.assert_array_equal(observation, twin.reset(seed=[None, 2, None, None])[0])
+    np.testing.assert_array_equal(observation[1], gymnasium.make(ENV_ID, **SWARM).reset(seed=2)[0])
+    assert len(np.unique(observation.reshape(-1, 2), axis=0)) == 3 * ENVS
+    following = env.reset(seed=[2, None, None, None])[0]
+    np.testing.assert_array_equal(following[0], observation[1])
+    np.testing.assert_array_equal(following[1:], twin.reset()[0][1:])
+
+
+def test_a_new_start_is_of_the_worlds_own_seed():
+    env, one = make(AutoresetMode.SAME_STEP, horizon=2), gymnasium.make(ENV_ID, **SWARM)
+    env.reset(seed=[3, 4, 5, 6], options={"positions": triangles(1)})
+    starts = env.step(up(1))[0][1], env.step(STILL)[0][[0, 2, 3]]
+    one.reset(seed=4)
+    np.testing.assert_array_equal(starts[0], one.reset()[0])
+    for seed, start in zip([3, 5, 6], starts[1], strict=True):
+        one.reset(seed=seed)
+        np.testing.assert_array_equal(start, one.reset()[0])
+
+
+def test_masked_worlds_alone_take_their_seeds():
+    env, twin = make(AutoresetMode.DISABLED), make(AutoresetMode.DISABLED)
+    for one in (env, twin):
+        one.reset(seed=[1, 2, 3, 4])
+    mask = np.array([True, False, False, True])
+    env.reset(seed=[9, 9, 9, None], options={"reset_mask": mask})
+    ours, theirs = env.reset()[0], twin.reset()[0]
+    np.testing.assert_array_equal(ours[1:3], theirs[1:3])
+    assert (ours[0] != theirs[0]).all()
+    np.testing.assert_array_equal(ours[3], twin.reset()[0][3])
+
+
+@pytest.mark.parametrize(
+    ("seed", "field"),
+    [([1, 2], "seed"), ("1234", "seed"), (2.5, "seed"), ([0, -1, 0, 0], "seed[1]"), ([0.5] * 4, "seed[0]")],
+)
+def test_impossible_seeds_are_refused(seed, field):
+    env = make()
+    before = env.reset(seed=1)[0]
+    with pytest.raises(InputError) as error:
+        env.reset(seed=seed)
+    assert error.value.field == field
+    assert (env.reset(seed=1)[0] == before).all()

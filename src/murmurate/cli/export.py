@@ -12,7 +12,7 @@ from murmurate.errors import RunError, UsageError, check_choice
 
 __all__ = ["run"]
 
-CASCADE = ("--policy",)
+CASCADE = ("--policy", "--opset")
 WAYPOINTS = ("--scale", "--period", "--episodes", "--robot-radius", "--robot-speed")
 
 
@@ -25,6 +25,9 @@ def run(argv: Sequence[str]) -> int:
     parser.add_argument("--onnx", action="store_true", help="write the cascade, or one policy, as an ONNX model")
     parser.add_argument(
         "--policy", type=int, metavar="INT", help="with --onnx: this policy alone (default: the cascade)"
+    )
+    parser.add_argument(
+        "--opset", type=int, metavar="INT", help="with --onnx: version of ONNX's operators, 17 to 23 (default: 23)"
     )
     what = "write the recorded episodes as waypoints in metres"
     parser.add_argument("--trajectories", metavar="csv|json", help=what)
@@ -44,24 +47,25 @@ def run(argv: Sequence[str]) -> int:
     for flag in sorted(given.intersection(WAYPOINTS if options.onnx else CASCADE)):
         raise UsageError(f"{flag} is for {'--trajectories' if options.onnx else '--onnx'}")
     if options.onnx:
-        return _model(options.run, options.policy, options.out, options.trust)
+        return _model(options)
     if options.run is None:
         raise UsageError("--trajectories needs a RUN that has recorded some")
     return _waypoints(options)
 
 
-def _model(folder: str | None, index: int | None, out: str | None, trust: bool) -> int:
-    path = _free(Path(out or f"{Path(folder).resolve().name if folder else 'murmurate'}.onnx"))
+def _model(options: Namespace) -> int:
+    folder: str | None = options.run
+    path = _free(Path(options.out or f"{Path(folder).resolve().name if folder else 'murmurate'}.onnx"))
     import murmurate
     from murmurate.runs import files
     from murmurate.runs.run import Run
 
-    opened = Run.open(folder, trust) if folder else murmurate.pretrained()
+    opened = Run.open(folder, options.trust) if folder else murmurate.pretrained()
     try:
         from murmurate.interop import onnx
     except ModuleNotFoundError as error:
         raise UsageError(str(error)) from None
-    model = onnx.export(opened, index)
+    model = onnx.export(opened, options.policy, onnx.OPSET if options.opset is None else options.opset)
     difference = model.difference(opened)
     if not difference <= onnx.TOLERANCE:
         raise RunError(f"the model differs from the policy by {difference:.1e}: nothing was written")

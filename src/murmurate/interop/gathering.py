@@ -6,9 +6,9 @@ the same compiled program as the vector environment.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeVar, get_args
 
 import equinox as eqx
@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, PyTree, UInt8, UInt32
 
-from murmurate import compilation_cache, prng
+from murmurate import compilation_cache, forks, prng
 from murmurate.discovery import DiscoveryConfig, Problem, RestRule, StageConfig, check_parts
 from murmurate.errors import MAX_INTEGER, InputError, check_choice, check_number, suggestion
 from murmurate.policies import LocalPolicy
@@ -29,6 +29,7 @@ from murmurate.world import (
     Sensing,
     Signal,
     Start,
+    UniformStart,
     World,
     WorldConfig,
     check_configurations,
@@ -64,6 +65,9 @@ NUMERIC = "fiub"
 
 FPS = 20
 """Frames per second at which an episode should be shown."""
+
+MAX_PATH = 400
+"""Steps of path that a frame shows at most."""
 
 FRAME_INCHES, DPI, MARGIN = 4.8, 100, 1.04
 """The longer side of a frame in inches, its pixels per inch, and the width of the view in widths of the world."""
@@ -201,9 +205,13 @@ def make_gathering(keywords: Mapping[str, Any], sensing: Any = None) -> Gatherin
         rest=RestRule(),
         seed=0,
     )
-    start, objective = check_start(problem.start, problem.world), problem.objective_signals
-    if any(part.is_foreign() for part in (*objective.values(), problem.sensing)):
-        check_parts(problem)
+    start, objective = UniformStart(), problem.objective_signals
+    # Where JAX cannot compute, spaces are all that there is: the first reset says so. A vector environment that forks
+    # has made, and checked, an environment before.
+    if forks.can_compute():
+        start = check_start(problem.start, problem.world)
+        if any(part.is_foreign() for part in (*objective.values(), problem.sensing)):
+            check_parts(problem)
     process = World.create(problem.world, start, objective, options.weights, options.horizon)
     return Gathering(problem.world, process, problem.sensing, options.action_scale)
 
@@ -279,32 +287,48 @@ class Episodes:
             observe: What agents observe.
             batch: Number of episodes.
         """
-        arrays, constants = eqx.partition(env, eqx.is_array_like)
-        # Arrays on the device: Python numbers would be transferred anew at every step.
-        self._arrays = jax.tree.map(jnp.asarray, arrays)
-        leaves, structure = jax.tree.flatten(constants)
-        self._program = _Program(observe, structure, tuple(leaves))
+        self._env, self._observe = env, observe
         self.started = False
         self.ended = np.zeros(batch, bool)
+
+    @functools.cached_property
+    def _compiled(self) -> tuple[_Program, Any]:
+        """What is compiled, and its numbers; made at the first reset, because an array starts JAX."""
+        arrays, constants = eqx.partition(self._env, eqx.is_array_like)
+        leaves, structure = jax.tree.flatten(constants)
+        # Arrays on the device: Python numbers would be transferred anew at every step.
+        return _Program(self._observe, structure, tuple(leaves)), jax.tree.map(jnp.asarray, arrays)
+
+    def __getstate__(self) -> dict[str, Any]:
+        # The structure of a tree cannot be pickled: a copy makes it anew.
+        return {name: value for name, value in vars(self).items() if name != "_compiled"}
 
     @prng.reproducible()
     def begin(
         self,
-        rng: np.random.Generator,
+        rng: np.random.Generator | Sequence[np.random.Generator],
         mask: Bool[np.ndarray, " batch"] | None = None,
         positions: Float[np.ndarray, "batch robots 2"] | None = None,
     ) -> None:
         """Begins new episodes.
 
         Args:
-            rng: Randomness of the starts, of the robots' frames and of noise.
+            rng: Randomness of the starts, of the robots' frames and of noise; of all episodes, or of each.
             mask: Which episodes are replaced; None: all.
             positions: Where they begin; None: at fresh starts.
         """
-        start_seed, seed = rng.integers(2**32, size=2, dtype=np.uint32)
+        batch = len(self.ended)
+        if isinstance(rng, np.random.Generator):
+            draw, (start_seed, seed) = _draw, _two_seeds(rng)
+        else:
+            # Who does not begin draws nothing: each world's starts depend on its own generator alone.
+            begun = np.flatnonzero(np.ones(batch) if mask is None else mask).tolist()
+            seeds = np.zeros((batch, 2), np.uint32)
+            seeds[begun] = [_two_seeds(rng[index]) for index in begun]
+            draw, start_seed, seed = _draw_each, seeds[:, 0], seeds[begun[0], 1]
         if positions is None:
-            positions = _draw(self._program, self._arrays, start_seed, len(self.ended))
-        state, observed = _begin(self._program, self._arrays, positions, seed)
+            positions = draw(*self._compiled, start_seed, batch)
+        state, observed = _begin(*self._compiled, positions, seed)
         if mask is None:
             self._state, self._observed, self.ended = state, observed, np.zeros_like(self.ended)
         else:
@@ -320,7 +344,7 @@ class Episodes:
     @prng.reproducible()
     def step(self, velocities: Float[np.ndarray, "batch robots 2"]) -> StepResult:
         """Moves every robot of every episode for one step, in ended episodes too."""
-        self._state, self._observed, outcome = _advance(self._program, self._arrays, self._state, velocities)
+        self._state, self._observed, outcome = _advance(*self._compiled, self._state, velocities)
         reward, terminated, truncated, credit = (np.array(values) for values in outcome)
         self.ended = terminated | truncated
         # Rewards are float64, as in Gymnasium's own environments.
@@ -360,17 +384,32 @@ class _Program(NamedTuple):
         return eqx.combine(arrays, jax.tree.unflatten(self.structure, self.leaves))
 
 
+def _two_seeds(rng: np.random.Generator) -> UInt32[np.ndarray, "2"]:
+    """Draws the seeds of a start, and of the robots' frames and noise."""
+    return rng.integers(2**32, size=2, dtype=np.uint32)
+
+
 def _batch_first(tree: PyTree[Array]) -> PyTree[Array]:
     return jax.tree.map(lambda leaf: jnp.moveaxis(leaf, -1, 0), tree)
 
 
-@partial(jax.jit, static_argnums=(0, 3))
+@functools.partial(jax.jit, static_argnums=(0, 3))
 def _draw(program: _Program, arrays: Any, seed: UInt32[Array, ""], batch: int) -> Float[Array, "batch robots 2"]:
     env = program.env(arrays)
     return env.start.sample(prng.key(seed), batch, env.config)
 
 
-@partial(jax.jit, static_argnums=0)
+@functools.partial(jax.jit, static_argnums=(0, 3))
+def _draw_each(
+    program: _Program, arrays: Any, seeds: UInt32[Array, " batch"], batch: int
+) -> Float[Array, "batch robots 2"]:
+    """Draws each start from a seed of its own, the one that `_draw` draws from it alone."""
+    del batch
+    env = program.env(arrays)
+    return jax.vmap(lambda seed: env.start.sample(prng.key(seed), 1, env.config)[0])(seeds)
+
+
+@functools.partial(jax.jit, static_argnums=0)
 def _begin(
     program: _Program, arrays: Any, positions: Float[Array, "batch robots 2"], seed: UInt32[Array, ""]
 ) -> tuple[Any, Any]:
@@ -380,7 +419,7 @@ def _begin(
     return state, _batch_first((program.observe(env, state), env.signals(state.positions)))
 
 
-@partial(jax.jit, static_argnums=0)
+@functools.partial(jax.jit, static_argnums=0)
 def _advance(
     program: _Program, arrays: Any, state: Any, velocities: Float[Array, "batch robots 2"]
 ) -> tuple[Any, Any, Any]:
@@ -397,7 +436,10 @@ def _replace(mask: Bool[Array, " batch"], new: Any, old: Any) -> Any:
 
 
 class Camera:
-    """Draws frames of a swarm, as arrays of pixels or in a window. Matplotlib is loaded with the first frame."""
+    """Draws frames of a swarm, as arrays of pixels or in a window. Matplotlib is loaded with the first frame.
+
+    A frame shows the paths since the start of the episode, so the camera follows every step.
+    """
 
     def __init__(self, gathering: Gathering, mode: str | None, modes: Sequence[str]) -> None:
         """Prepares to draw.
@@ -413,23 +455,49 @@ class Camera:
         if mode is not None:
             check_choice("render_mode", mode, modes)
         self._gathering = gathering
+        self._mode = mode
         self._in_window = mode == "human"
-        self._figure: Any = None
-        self._swarm: SwarmArtist | None = None
+        self._paths: list[list[Float[np.ndarray, "robots 2"]]] = []
+        self._steps: list[int] = []
+        self._close()
 
-    def frame(self, positions: Float[np.ndarray, "robots 2"]) -> UInt8[np.ndarray, "height width 3"] | None:
-        """Draws a configuration.
+    def __getstate__(self) -> dict[str, Any]:
+        # A copy opens a figure of its own.
+        return {**vars(self), "_figure": None, "_swarm": None, "_drawn": None, "_text": None}
+
+    def follow(self, episodes: Episodes, begun: Bool[np.ndarray, " batch"] | None = None) -> None:
+        """Remembers where the robots are, if anything will be drawn.
 
         Args:
-            positions: Centres, world units.
+            episodes: The episodes, after a step or after some have begun.
+            begun: Which have begun; None: all have made a step.
+        """
+        if self._mode is None:
+            return
+        positions = episodes.positions
+        if not self._paths:
+            self._paths, self._steps = [[] for _ in positions], [0] * len(positions)
+        for index, place in enumerate(positions):
+            if begun is None:
+                self._paths[index] = [*self._paths[index][-MAX_PATH:], place]
+                self._steps[index] += 1
+            elif begun[index]:
+                self._paths[index], self._steps[index] = [place], 0
+
+    def frame(self, index: int = 0) -> UInt8[np.ndarray, "height width 3"] | None:
+        """Draws an episode as far as it has come.
+
+        Args:
+            index: Its place in the batch.
 
         Returns:
             The pixels, or None where a window shows them. A window that the user has closed stays closed.
         """
+        path = np.stack(self._paths[index])
         if self._swarm is None:
-            self._swarm = self._open(positions)
-        elif not self._is_closed():
-            self._swarm.update(positions)
+            self._swarm = self._open(path[-1])
+        if not self._is_closed():
+            self._draw(path, self._steps[index])
         canvas = self._figure.canvas
         if not self._in_window:
             canvas.draw()
@@ -448,10 +516,28 @@ class Camera:
             from matplotlib import pyplot
 
             pyplot.close(self._figure)
-        self._figure = self._swarm = None
+        self._close()
+
+    def _close(self) -> None:
+        self._figure: Any = None
+        self._swarm: SwarmArtist | None = None
+        self._drawn: Any = None
+        self._text: Any = None
+
+    def _draw(self, path: Float[np.ndarray, "configurations robots 2"], step: int) -> None:
+        """Moves everything on the figure to the end of a path."""
+        from murmurate.plots.swarm import draw_paths
+
+        assert self._swarm is not None
+        self._swarm.update(path[-1])
+        if self._drawn is not None:
+            self._drawn.remove()
+        self._drawn = draw_paths(self._figure.axes[0], path, np.zeros(len(path) - 1, int))
+        self._text.set_text(f"step {step}")
 
     def _open(self, positions: Float[np.ndarray, "robots 2"]) -> SwarmArtist:
         from murmurate.plots import SwarmArtist
+        from murmurate.plots.style import MUTED
         from murmurate.plots.swarm import draw_world
 
         world = self._gathering.config
@@ -472,6 +558,7 @@ class Camera:
         swarm = SwarmArtist(ax, positions, world, gathering_point=self._gathering.has_landmark)
         ax.set(xlim=MARGIN * half[0] * np.array([-1, 1]), ylim=MARGIN * half[1] * np.array([-1, 1]))
         ax.set_axis_off()
+        self._text = ax.text(0.035, 0.965, "", transform=ax.transAxes, va="top", fontsize=8, color=MUTED)
         return swarm
 
     def _is_closed(self) -> bool:

@@ -5,6 +5,7 @@ Importing this module registers `murmurate/Gathering-v0` for `gymnasium.make` an
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -16,6 +17,7 @@ try:
     import gymnasium
     from gymnasium import spaces
     from gymnasium.error import ResetNeeded
+    from gymnasium.utils import seeding
     from gymnasium.vector import AutoresetMode, VectorEnv
     from gymnasium.vector.utils import batch_space
 except ModuleNotFoundError as error:
@@ -101,6 +103,7 @@ class GatheringEnv(gymnasium.Env[Any, Float[np.ndarray, "robots 2"]]):
         positions = self._gathering.positions(options, np.array(True))
         super().reset(seed=seed)
         self._episodes.begin(self.np_random, positions=None if positions is None else positions[None])
+        self._camera.follow(self._episodes, np.ones(1, bool))
         self._show()
         return self._observation(), self._info()
 
@@ -121,12 +124,13 @@ class GatheringEnv(gymnasium.Env[Any, Float[np.ndarray, "robots 2"]]):
             raise ResetNeeded("no episode is under way: call reset() before step()")
         velocities = self._gathering.velocities(action, (self._gathering.config.robots, 2))
         result = self._episodes.step(velocities[None])
+        self._camera.follow(self._episodes)
         self._show()
         ended = bool(result.terminated[0]), bool(result.truncated[0])
         return self._observation(), float(result.reward[0]), *ended, self._info()
 
     def render(self) -> UInt8[np.ndarray, "height width 3"] | None:
-        """Draws the robots to scale, their safe distances and sight lines.
+        """Draws the robots to scale, their safe distances, sight lines and paths, and writes the step.
 
         Returns:
             The picture in mode rgb_array; None in mode human, which draws at every step.
@@ -139,7 +143,7 @@ class GatheringEnv(gymnasium.Env[Any, Float[np.ndarray, "robots 2"]]):
         if self.render_mode is None:
             gymnasium.logger.warn("there is nothing to render: make the environment with a render_mode")
             return None
-        return self._camera.frame(self._episodes.positions[0])
+        return self._camera.frame()
 
     def close(self) -> None:
         """Closes the window, if there is one."""
@@ -205,32 +209,42 @@ class GatheringVectorEnv(VectorEnv[Any, Float[np.ndarray, "envs robots 2"], np.n
         self.metadata = {**self.metadata, "autoreset_mode": self._mode}
         self.render_mode = render_mode
         self.num_envs = num_envs
+        self._rngs: list[np.random.Generator] | None = None
         self.single_observation_space = _observation_space(self._gathering, observations)
         self.single_action_space = _action_space(self._gathering)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.closed = False
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
         """Begins episodes.
 
         Args:
-            seed: Seed of this and all following starts, of all worlds; None: they continue as they were.
+            seed: Seed of this and all following starts, of all worlds or of each: a world with a seed of its own begins
+                as `GatheringEnv` does with it. None: they continue as they were.
             options: `positions`, `(num_envs, robots, 2)`: begins there. `reset_mask`, `(num_envs,)`: begins only these.
 
         Returns:
             The observations and the infos.
 
         Raises:
-            InputError: The given positions are not possible starts, or the mask is not a boolean array.
+            InputError: The given positions are not possible starts, the seeds are not one integer for each world, or
+                the mask is not a boolean array.
             ResetNeeded: A mask was given, but the other episodes have not begun either.
         """
         _check_options(options, (*OPTIONS, "reset_mask"))
         mask = self._mask(options)
         begun = np.ones(self.num_envs, bool) if mask is None else mask
         positions = self._gathering.positions(options, begun)
-        super().reset(seed=seed)
-        self._episodes.begin(self.np_random, mask, positions)
+        if seed is None or isinstance(seed, int | np.integer):
+            super().reset(seed=None if seed is None else int(seed))
+            self._rngs = self._rngs if seed is None else None
+        else:
+            self._rngs = self._seeded(seed, begun)
+        self._episodes.begin(self._randomness, mask, positions)
+        self._camera.follow(self._episodes, begun)
         return self._episodes.observation, self._infos(begun)
 
     def step(self, actions: Float[np.ndarray, "envs robots 2"]) -> tuple[Any, Batch, Flags, Flags, dict[str, Any]]:
@@ -251,15 +265,18 @@ class GatheringVectorEnv(VectorEnv[Any, Float[np.ndarray, "envs robots 2"], np.n
             raise ResetNeeded("not all episodes are under way: call reset() before step()")
         velocities = self._gathering.velocities(actions, (self.num_envs, self._gathering.config.robots, 2))
         reward, terminated, truncated, _ = self._episodes.step(velocities)
+        self._camera.follow(self._episodes)
         final: dict[str, Any] = {}
         if self._mode is AutoresetMode.NEXT_STEP and before.any():
             # These episodes had ended: their step is discarded, and they begin anew.
-            self._episodes.begin(self.np_random, before)
+            self._episodes.begin(self._randomness, before)
+            self._camera.follow(self._episodes, before)
             reward[before], terminated[before], truncated[before] = 0, False, False
         elif self._mode is AutoresetMode.SAME_STEP and self._episodes.ended.any():
             ended = self._episodes.ended
             final = self._final(ended)
-            self._episodes.begin(self.np_random, ended)
+            self._episodes.begin(self._randomness, ended)
+            self._camera.follow(self._episodes, ended)
         infos = self._infos(np.ones(self.num_envs, bool)) | final
         return self._episodes.observation, reward, terminated, truncated, infos
 
@@ -274,12 +291,34 @@ class GatheringVectorEnv(VectorEnv[Any, Float[np.ndarray, "envs robots 2"], np.n
         if self.render_mode is None:
             gymnasium.logger.warn("there is nothing to render: make the environment with a render_mode")
             return None
-        frames = (self._camera.frame(positions) for positions in self._episodes.positions)
+        frames = map(self._camera.frame, range(self.num_envs))
         return tuple(frame for frame in frames if frame is not None)
 
     def close_extras(self, **kwargs: Any) -> None:
         """Releases the figure."""
         self._camera.close()
+
+    @property
+    def _randomness(self) -> np.random.Generator | list[np.random.Generator]:
+        """The randomness of all worlds, or of each where they were given seeds of their own."""
+        return self.np_random if self._rngs is None else self._rngs
+
+    def _seeded(self, seeds: Any, begun: Flags) -> list[np.random.Generator]:
+        """Returns each world's randomness: from its seed where it begins with one, as it was for the others."""
+        allowed = f"an integer, or {self.num_envs} of them, one for each world, or None"
+        if not isinstance(seeds, Sequence | np.ndarray) or isinstance(seeds, str) or len(seeds) != self.num_envs:
+            raise InputError("seed", seeds, allowed)
+        for index, seed in enumerate(seeds):
+            if seed is not None:
+                check_number(f"seed[{index}]", seed, 0, integer=True)
+        before = self._rngs
+        if before is None:
+            # They had one generator together, which goes on in each of them.
+            before = [np.random.default_rng(self.np_random.integers(2**63)) for _ in seeds]
+        return [
+            seeding.np_random(int(seed))[0] if begins and seed is not None else rng
+            for seed, begins, rng in zip(seeds, begun, before, strict=True)
+        ]
 
     def _mask(self, options: dict[str, Any] | None) -> Flags | None:
         given = (options or {}).get("reset_mask")

@@ -128,6 +128,7 @@ class GatheringParallelEnv(ParallelEnv[str, Rows, Velocity]):
         if seed is not None:
             self._rng = seeding.np_random(seed)[0]
         self._episodes.begin(self._rng, positions=None if positions is None else positions[None])
+        self._camera.follow(self._episodes, np.ones(1, bool))
         self.agents = list(self.possible_agents)
         self._show()
         return self._observations(), self._infos()
@@ -141,19 +142,22 @@ class GatheringParallelEnv(ParallelEnv[str, Rows, Velocity]):
             actions: A velocity for each agent; beyond the bounds of its `action_space` it is clipped.
 
         Returns:
-            Every agent's observation, reward, whether the episode terminated, whether it was truncated, and its info.
+            Every agent's observation, reward, whether the episode terminated, whether it was truncated, and its info;
+            after the end of the episode, when there are no agents, five empty dictionaries.
 
         Raises:
             InputError: An agent has no action, an action belongs to no agent, or is not a pair of finite numbers.
-            ResetNeeded: No episode is under way.
+            ResetNeeded: No episode has begun.
         """
+        self._check_started("step()")
         if not self.agents:
-            raise ResetNeeded("no episode is under way: call reset() before step()")
+            return {}, {}, {}, {}, {}
         if actions.keys() != set(self.agents):
             raise InputError("actions", list(actions), f"one for each of {', '.join(self.agents)}")
         # Each robot's action is checked alone, so that the message names its shape.
         velocities = np.stack([self._gathering.velocities(actions[name], (2,)) for name in self.possible_agents])
         result = self._episodes.step(velocities[None])
+        self._camera.follow(self._episodes)
         self._show()
         # The credit is the reward itself, unless each robot has its own.
         rewards = np.broadcast_to(result.credit[0], len(self.possible_agents)).tolist()
@@ -177,7 +181,7 @@ class GatheringParallelEnv(ParallelEnv[str, Rows, Velocity]):
         return self._episodes.positions[0]
 
     def render(self) -> UInt8[np.ndarray, "height width 3"] | None:
-        """Draws the robots to scale, their safe distances and sight lines.
+        """Draws the robots to scale, their safe distances, sight lines and paths, and writes the step.
 
         Returns:
             The picture in mode rgb_array; None in mode human, which draws at every step.
@@ -189,7 +193,7 @@ class GatheringParallelEnv(ParallelEnv[str, Rows, Velocity]):
         if self.render_mode is None:
             gymnasium.logger.warn("there is nothing to render: make the environment with a render_mode")
             return None
-        return self._camera.frame(self._episodes.positions[0])
+        return self._camera.frame()
 
     def close(self) -> None:
         """Closes the window, if there is one."""

@@ -453,9 +453,9 @@ def check_start(start: Start, world: WorldConfig) -> Start:
         most = math.isqrt(MAX_PAIRS // TRIALS)
         raise InputError("world.robots", world.robots, f"at most {most}: memory holds no more pairs of them")
     prepared = start.prepare(world)
-    key = prng.key(0)
     try:
-        sampled = eqx.filter_eval_shape(prepared.sample, key, TRIALS, world)
+        # The key is made inside: nothing is computed for a start that surely fits, and JAX is not started.
+        sampled = eqx.filter_eval_shape(lambda: prepared.sample(prng.key(0), TRIALS, world))
     except InputError:
         raise
     except Exception as error:  # a user's start may raise anything
@@ -467,7 +467,7 @@ def check_start(start: Start, world: WorldConfig) -> Start:
         raise InputError("start", start.name, f"a start whose sample returns float32{list(wanted)}, not {what}")
     if _surely_fits(prepared, world):
         return prepared
-    points = draw_starts(prepared, key, TRIALS, world)
+    points = draw_starts(prepared, prng.key(0), TRIALS, world)
     if not np.isfinite(points).all():
         raise InputError("start", start.name, "a start of finite numbers")
     if (np.abs(points) > world.bounds).any():

@@ -20,7 +20,7 @@ from jax.extend.core import jaxpr_as_fun
 from jaxtyping import Array, Float
 
 from murmurate import prng
-from murmurate.errors import InputError
+from murmurate.errors import InputError, check_number
 from murmurate.interop import missing_extra
 from murmurate.interop.onnx import programs
 from murmurate.interop.onnx.programs import Program
@@ -30,16 +30,24 @@ from murmurate.types import Observation, View
 try:
     import jax2onnx
     import onnxruntime
+    from onnx import ModelProto
+    from onnx.helper import OP_SET_ID_VERSION_MAP, make_attribute
 except ModuleNotFoundError as error:
     raise missing_extra("onnx") from error
 
-__all__ = ["CONFIGURATIONS", "TOLERANCE", "Model", "export"]
+__all__ = ["CONFIGURATIONS", "OPSET", "OPSETS", "TOLERANCE", "Model", "export"]
 
 CONFIGURATIONS = 1000
 """Configurations on which a model is compared with the run."""
 
 TOLERANCE = 1e-5
 """Greatest accepted difference of velocities, world units per step."""
+
+OPSETS = (17, 23)
+"""The oldest and the newest version of ONNX's operators that a model can be written in."""
+
+OPSET = 23
+"""The version that it is written in by default."""
 
 OTHER_SIZES = (2, 3, 5, 12)
 """Further swarm sizes on which a model for any number of robots is compared."""
@@ -96,17 +104,20 @@ class Model:
         return greatest if np.isfinite(greatest) else float("inf")
 
 
-def export(run: Run, index: int | None = None) -> Model:
+def export(run: Run, index: int | None = None, opset: int = OPSET) -> Model:
     """Makes an ONNX model of a run's cascade, or of one of its policies.
 
     Args:
         run: The run.
         index: Place of the policy; None for the whole cascade.
+        opset: Version of ONNX's operators. The file's format is the oldest that has them, for older runtimes.
 
     Raises:
-        InputError: There is no policy at that place, the cascade cannot be executed by robots on their own, or a class
-            of the user's own computes something that ONNX does not have, or uses more than a robot's own view.
+        InputError: There is no policy at that place or no such version, the cascade cannot be executed by robots on
+            their own, or a class of the user's own computes something that ONNX does not have, or uses more than a
+            robot's own view.
     """
+    check_number("--opset", opset, *OPSETS, integer=True)
     program = programs.cascade_program(run) if index is None else programs.policy_program(run, index)
     with _naming(program):
         specs = _specs(program)
@@ -121,10 +132,38 @@ def export(run: Run, index: int | None = None) -> Model:
                 model_name="murmurate",
                 input_names=list(program.inputs),
                 output_names=list(program.outputs),
+                opset=opset,
             )
+    assert isinstance(proto, ModelProto)
+    proto.ir_version = min(proto.ir_version, OP_SET_ID_VERSION_MAP["ai.onnx", opset])
+    _take_zeros_at_their_word(proto)
+    _name_largest_swarm(proto)
     for name, text in program.metadata.items():
         proto.metadata_props.add(key=name, value=text)
     return Model(proto.SerializeToString(), program)
+
+
+def _take_zeros_at_their_word(proto: ModelProto) -> None:
+    """Lets arrays be empty: unless told so, ONNX takes a length of 0 in a new shape for the length that was there."""
+    for node in proto.graph.node:
+        if node.op_type == "Reshape" and not any(attribute.name == "allowzero" for attribute in node.attribute):
+            node.attribute.append(make_attribute("allowzero", 1))
+
+
+def _name_largest_swarm(proto: ModelProto) -> None:
+    """Says how large a swarm may be, where there is a bound: in the metadata, and in the name of what fails beyond it.
+
+    A runtime's error says nothing but which operation failed, and the name of that one.
+    """
+    looked_up = {tensor.name for tensor in proto.graph.initializer if tuple(tensor.dims) == programs.TABLE_SHAPE}
+    for node in proto.graph.node:
+        if looked_up.isdisjoint(node.input):
+            continue
+        if node.op_type == "Squeeze":
+            node.name = f"at_most_{programs.MAX_ROBOTS}_robots"
+            proto.metadata_props.add(key="largest_swarm", value=str(programs.MAX_ROBOTS))
+            return
+        looked_up.update(node.output)
 
 
 @contextlib.contextmanager

@@ -27,7 +27,7 @@ from murmurate.runs.run import Run
 from murmurate.types import Observation, View
 from murmurate.world import Configuration, Objective, WorldConfig
 
-__all__ = ["MAX_ROBOTS", "Program", "cascade_program", "objective", "policy_program"]
+__all__ = ["MAX_ROBOTS", "TABLE_SHAPE", "Program", "cascade_program", "objective", "policy_program"]
 
 MAX_ROBOTS = 256
 """Largest swarm for which a cascade for any number of robots works: its memory holds that swarm's window of rest."""
@@ -164,8 +164,8 @@ def _view_program(run: Run, index: int, foreign: Mapping[str, Strategy]) -> Prog
         given = dict(zip(list(inputs)[1:], further, strict=True))
         x, y = (jnp.transpose(others[:, :, axis])[None] for axis in (0, 1))
         seen = (x != 0) | (y != 0)
-        ones = jnp.ones_like(x[:, 0])
-        point = jnp.transpose(given["point"]) if "point" in given else jnp.zeros_like(jnp.transpose(others[:, 0]))
+        ones = jnp.ones_like(x.sum(axis=1))  # by a sum, because there may be no first one of the others
+        point = jnp.transpose(given["point"]) if "point" in given else jnp.zeros_like(jnp.transpose(others.sum(axis=1)))
         walls = jnp.moveaxis(given["walls"], 0, -1)[None] if "walls" in given else None
         view = View(x, y, seen, world.radius * ones, point[0] * ones, point[1] * ones, walls)
         # NaN in place of what a robot cannot know: a policy that uses it is found out by its velocity.
@@ -187,6 +187,10 @@ class _Size(NamedTuple):
     switch_tolerance: Any
     max_steps: Any
     window: Any
+
+
+TABLE_SHAPE = (MAX_ROBOTS - 1, len(_Size._fields))
+"""Shape of the table of everything that depends on the number of robots, from two on."""
 
 
 def _sizes(run: Run, foreign: Mapping[str, Strategy]) -> Callable[[Any], _Size]:
