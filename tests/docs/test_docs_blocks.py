@@ -7,9 +7,11 @@ import re
 import pytest
 from pages import BY_HAND, DOCS, WRITTEN_BY_PROGRAMS, Reader, copy_run, tokens
 
+SLOW = {"adapters.md", "cookbook.md", "swarms.md"}
+"""Pages whose blocks train, export and compare for a minute or more: the tests of these parts have the same cases."""
+
 SHOWN = [
-    # Every block of the cookbook compiles a training of its own; tests/own has the same parts.
-    pytest.param(page, marks=[pytest.mark.nightly] if page == "cookbook.md" else [])
+    pytest.param(page, marks=[pytest.mark.nightly] if page in SLOW else [])
     for page in BY_HAND
     if not page.startswith("api/")
 ]
