@@ -6,6 +6,10 @@ import os
 import subprocess
 import sys
 
+import jax
+import numpy as np
+
+import murmurate
 from tiny import write_toml
 
 FLAGS = {"JAX_ENABLE_X64": "1", "JAX_DEFAULT_PRNG_IMPL": "rbg", "JAX_THREEFRY_PARTITIONABLE": "0"}
@@ -21,3 +25,11 @@ def test_the_weights_do_not_depend_on_flags(finished, tmp_path):
     assert files
     for file in [*files, "evaluation.json"]:
         assert (folder / file).read_bytes() == (finished / file).read_bytes(), file
+
+
+def test_the_weights_of_the_package_act_alike_where_numbers_have_64_bits():
+    expected = murmurate.pretrained().of_size(3).rollout(2, key=1)
+    with jax.enable_x64(True):
+        run = murmurate.pretrained().of_size(3)
+        assert {str(leaf.dtype) for leaf in jax.tree.leaves(run.cascade.policies)} == {"float32"}
+        np.testing.assert_array_equal(run.rollout(2, key=1).positions, expected.positions)

@@ -87,6 +87,7 @@ def build_cascade(problem: Problem, policies: Sequence[Any], world: World | None
     return Cascade(tuple(policies), build_environment(problem, world), problem.rest_in_steps)
 
 
+@prng.reproducible()
 def policy_templates(problem: Problem, count: int) -> tuple[Any, ...]:
     """Returns `count` policy networks without numbers, to load weights into."""
     key = jax.eval_shape(lambda: prng.key(0))
