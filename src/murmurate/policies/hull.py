@@ -55,8 +55,9 @@ def hull(
     (ax, ay), (bx, by) = mean_position(last, ux, uy, distance), mean_position(first, ux, uy, distance)
     width = jnp.sqrt((ax - bx) ** 2 + (ay - by) ** 2 + 1e-6)
     # On a line both neighbours are in the same direction: the product would be rounding alone, over almost no width.
-    bulge = (1 - jnp.max(last * first, axis=1)) * jnp.abs(ax * by - ay * bx) / width
-    corner = jnp.minimum(jnp.max(last, axis=1), jnp.max(first, axis=1))
+    # The greatest of none, where a robot perceives nobody, is 0.
+    bulge = (1 - jnp.max(last * first, axis=1, initial=0.0)) * jnp.abs(ax * by - ay * bx) / width
+    corner = jnp.minimum(jnp.max(last, axis=1, initial=0.0), jnp.max(first, axis=1, initial=0.0))
     robot = [corner, corner / (1 + bulge**2) ** 2, corner * bulge / (FAR_OUT + bulge)]
     pair = [jnp.maximum(last, first), last - first]
     return Hull(jnp.stack(pair), jnp.stack(robot))

@@ -317,7 +317,8 @@ def _degenerate(run: Run, robots: int, rng: np.random.Generator) -> Float[np.nda
         np.where(number < 2, 0.0, 2 * np.exp(2j * np.pi * number / robots)),
         np.zeros(robots, complex),
     ]
-    spacing = run.experiment.world.safe_distance
+    # Not at the safe distance itself: there the penalty's square root makes 3e-4 of a rounded digit.
+    spacing = 1.1 * run.experiment.world.safe_distance
     turned = np.concatenate([spacing * np.exp(1j * angle) * np.array(shapes) for angle in (0.0, 0.7, np.pi / 4)])
     points = np.stack([np.real(turned), np.imag(turned)], axis=-1)
     return np.concatenate([points, points + spacing * rng.uniform(-3, 3, (len(points), 1, 2))])
