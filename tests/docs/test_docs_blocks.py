@@ -7,7 +7,7 @@ import re
 import pytest
 from pages import BY_HAND, DOCS, WRITTEN_BY_PROGRAMS, Reader, copy_run, tokens
 
-SLOW = {"adapters.md", "cookbook.md", "swarms.md"}
+SLOW = {"adapters.md", "benchmarks.md", "cookbook.md", "discovery.md", "swarms.md"}
 """Pages whose blocks train, export and compare for a minute or more: the tests of these parts have the same cases."""
 
 SHOWN = [

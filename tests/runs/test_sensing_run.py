@@ -68,7 +68,8 @@ def test_without_a_scheduler_an_epoch_is_a_step(run):
     assert (ran.epochs == ran.lengths).all()
 
 
-@pytest.mark.parametrize("kind", ["central", pytest.param("equivariant", marks=pytest.mark.nightly)])
+@pytest.mark.nightly
+@pytest.mark.parametrize("kind", ["central", "equivariant"])
 def test_every_policy_may_be_scheduled(kind, tmp_path):
     credit = {"credit": "swarm"} if kind == "central" else {}
     scheduler = {"use": "ssync", "adversarial": True}
