@@ -25,7 +25,7 @@ $(VENV)/.dev: $(VENV)/.core
 discover: $(VENV)/.core  ## train (or go on), evaluate and draw one experiment (EXPERIMENT=C SEED=0 OUT=runs/...)
 	$(BIN)/murmurate discover $(EXPERIMENT) --seed $(SEED) --out $(OUT) --resume || [ $$? -eq 5 ]
 
-test: lint  ## style, types, layers and the tests (12 minutes on two cores)
+test: lint  ## style, types, layers and the tests (11 minutes on two cores)
 	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 test-nightly: lint  ## the long tests besides: Ray, Slurm, several hosts, large swarms, 100,000 configurations
