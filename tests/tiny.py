@@ -56,7 +56,7 @@ def write_toml(path, **overlay):
 
 
 def seal(folder):
-    """Writes the checksums of a run's files anew after a test has changed some, as whoever forges a run would."""
+    """Writes the checksums of a run's files anew after a test has changed some, as somebody who forges a run would."""
     manifest = folder.manifest()
     folder.write_manifest(manifest, len(manifest["policies"]))
 

@@ -1,4 +1,4 @@
-"""Says where JAX cannot compute: in a process forked from one that had started it.
+"""Refuses to compute in a process that was forked after JAX had started: JAX would hang there.
 
 JAX runs threads, and a fork copies none of them: the first computation of such a process waits for ever. Processes that
 are spawned start JAX anew, and so do those that are forked before anything was computed.

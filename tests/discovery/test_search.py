@@ -72,7 +72,7 @@ def finish(discovery, snapshot):
 
 
 def same(first, second):
-    """Says whether two trees are equal to the bit."""
+    """Returns whether two trees are equal to the bit."""
     pairs = zip(jax.tree.leaves(first), jax.tree.leaves(second), strict=True)
     return all(np.array_equal(a, b) for a, b in pairs)
 

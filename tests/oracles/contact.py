@@ -18,6 +18,6 @@ def closest_approach(positions: np.ndarray, velocities: np.ndarray) -> np.ndarra
 
 
 def leaves(positions: np.ndarray, half_width: float, half_height: float) -> np.ndarray:
-    """Says whether any centre is outside the closed rectangle, `(*batch,)`."""
+    """Returns whether any centre is outside the closed rectangle, `(*batch,)`."""
     world = shapely.box(-half_width, -half_height, half_width, half_height)
     return ~shapely.covers(world, shapely.points(np.asarray(positions, np.float64))).all(-1)

@@ -6,7 +6,7 @@ import numpy as np
 
 
 def corner(points: np.ndarray) -> tuple[int, int, float] | None:
-    """Says between whom a robot at the origin is a corner of the hull of itself and some points.
+    """Returns between which points a robot at the origin is a corner of the hull of itself and them.
 
     Args:
         points: Where the others are, in general position: no two in one direction.

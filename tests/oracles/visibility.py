@@ -75,16 +75,16 @@ def shadow_clearance(positions: np.ndarray, radius: float) -> np.ndarray:
 
 
 def neighbors(positions: np.ndarray, scan_radius: float) -> np.ndarray:
-    """Says who is within scanning distance of whom; False on the diagonal."""
+    """Returns which robots are within scanning distance of which; False on the diagonal."""
     return (pairwise_distances(positions) <= scan_radius) & ~np.eye(np.shape(positions)[-2], dtype=bool)
 
 
 def occluded(positions: np.ndarray, radius: float) -> np.ndarray:
-    """Says who lies, in part or whole, in a shadow thrown by any third robot."""
+    """Returns which robots lie, in part or whole, in a shadow thrown by any third robot."""
     return shadow_clearance(positions, radius) < 0
 
 
 def decided(positions: np.ndarray, radius: float, scan_radius: float, tolerance: float) -> np.ndarray:
-    """Says which answers are no matter of precision: more than `tolerance` radii from the edges of shadow and scan."""
+    """Returns which answers do not depend on precision: farther than `tolerance` radii from shadows and scan."""
     edges = np.abs(shadow_clearance(positions, radius)), np.abs(pairwise_distances(positions) - scan_radius)
     return np.minimum(*edges) > tolerance * radius

@@ -593,7 +593,7 @@ class RunFolder:
         files.write_npz(self._inside(TRAJECTORIES), arrays)
         files.write_json(self._inside(EVALUATION), summary)
         if self._inside(MANIFEST).exists():
-            # Until here the new files do not match the manifest, and whoever reads them is told to evaluate again.
+            # Until here the new files do not match the manifest, and a reader is told to evaluate again.
             manifest = self.manifest()
             self.write_manifest(manifest, len(manifest["policies"]))
 

@@ -151,7 +151,7 @@ def _take_zeros_at_their_word(proto: ModelProto) -> None:
 
 
 def _name_largest_swarm(proto: ModelProto) -> None:
-    """Says how large a swarm may be, where there is a bound: in the metadata, and in the name of what fails beyond it.
+    """States the largest swarm, where there is a bound: in the metadata, and as the name of the node that fails.
 
     A runtime's error says nothing but which operation failed, and the name of that one.
     """
