@@ -28,6 +28,8 @@ with warnings.catch_warnings():
 
 ROBOTS = 5
 STATES = 1000
+CHECKED = 200
+"""Configurations on which models are compared with their runs: the same number everywhere is compiled once."""
 REST = {"max_steps": 15, "window": 3, "switch_tolerance": 0.004, "tolerance": 0.003}
 """So that some policies come to rest and others are cut off."""
 
@@ -113,7 +115,7 @@ def test_a_cascade_changes_over_and_rests_as_ours_does_in_swarms_of_any_size(equ
 def test_a_central_cascade_has_a_dynamic_batch_and_its_own_number_of_robots():
     run = untrained("central", policies=1, factor=10)
     model = onnx.export(run)
-    assert model.difference(run, 200) < 1e-5
+    assert model.difference(run, CHECKED) < 1e-5
     session = model.session()
     assert session.get_inputs()[0].shape[1:] == [ROBOTS, 2]
     with pytest.raises(Exception, match="invalid dimensions"):
@@ -134,10 +136,10 @@ def local(objective, walls):
     return run, onnx.export(run)
 
 
-@pytest.mark.parametrize(("objective", "walls"), [("C1", False), ("C2", False), ("C2", True)])
+@pytest.mark.parametrize(("objective", "walls"), [("C1", False), ("C2", True)])
 def test_a_robot_with_its_own_eyes_moves_by_its_model_as_in_the_world(objective, walls):
     run, model = local(objective, walls)
-    assert model.difference(run, 200) < onnx.TOLERANCE
+    assert model.difference(run, CHECKED) < onnx.TOLERANCE
     starts = run.starts(40, 1)
     env = run.cascade.env
     frames, expected = velocities_in_world(env, run.cascade.policies[0], np.moveaxis(starts, 0, -1))
@@ -188,8 +190,7 @@ def test_symmetric_swarms_are_ours_to_1e_5(one_policy, robots):
 def test_the_check_looks_at_symmetric_swarms(equivariant, robots):
     """Some robots tie in distance, some stand in line, some are at one place; whole and as one robot's view."""
     run, model = equivariant
-    run = run.of_size(robots)
-    for name, program in (("positions", model.program), ("others", local("C2", False)[1].program)):
+    for name, program in (("positions", model.program), ("others", local("C1", False)[1].program)):
         inputs = onnx._random_inputs(run, program, robots, 200, np.random.default_rng(0))[name].astype(float)
         x, y = np.moveaxis(inputs if name == "positions" else np.pad(inputs, ((0, 0), (1, 0), (0, 0))), 2, 0)
         apart = np.hypot(x[:, 1:] - x[:, :1], y[:, 1:] - y[:, :1])
@@ -203,10 +204,10 @@ def test_the_check_looks_at_symmetric_swarms(equivariant, robots):
 
 
 def test_a_view_may_leave_out_or_fill_up_whom_it_does_not_hold():
-    model = local("C2", False)[1]
+    session, point = local("C1", False)[1].session(), np.array([[2.0, -5.0]], np.float32)
     alone = np.array([[[4.0, 3.0], [-6.0, 1.0]]], np.float32)
     filled = np.concatenate([np.zeros((1, 3, 2), np.float32), alone], axis=1)
-    (few,), (many,) = (model.session().run(None, {"others": view}) for view in (alone, filled))
+    (few,), (many,) = (session.run(None, {"others": view, "point": point}) for view in (alone, filled))
     np.testing.assert_allclose(few, many, atol=1e-6)
 
 
@@ -233,9 +234,10 @@ def test_a_batch_may_be_empty(equivariant):
     positions, memory = np.zeros((0, ROBOTS, 2), np.float32), np.zeros((0, width), np.float32)
     velocities, after = session.run(None, {"positions": positions, "memory": memory})
     assert (velocities.shape, after.shape) == ((0, ROBOTS, 2), (0, width))
-    views = local("C2", False)[1].session()
-    assert views.run(None, {"others": np.zeros((0, 4, 2), np.float32)})[0].shape == (0, 2)
-    assert views.run(None, {"others": np.zeros((0, 0, 2), np.float32)})[0].shape == (0, 2)
+    views, point = local("C1", False)[1].session(), np.zeros((0, 2), np.float32)
+    for others in (4, 0):
+        inputs = {"others": np.zeros((0, others, 2), np.float32), "point": point}
+        assert views.run(None, inputs)[0].shape == (0, 2)
 
 
 @pytest.mark.filterwarnings("default")
@@ -247,17 +249,17 @@ def test_a_swarm_that_is_too_large_is_refused_by_the_name_of_the_bound(equivaria
         session.run(None, {"positions": positions, "memory": memory})
     about = session.get_modelmeta().custom_metadata_map
     assert about["largest_swarm"] == "256"
-    assert "largest_swarm" not in local("C2", False)[1].session().get_modelmeta().custom_metadata_map
+    assert "largest_swarm" not in local("C1", False)[1].session().get_modelmeta().custom_metadata_map
 
 
-@pytest.mark.parametrize(("opset", "format_version"), [(17, 8), (None, 10)])
+@pytest.mark.parametrize(("opset", "format_version"), [pytest.param(17, 8, marks=pytest.mark.nightly), (None, 10)])
 def test_a_model_is_in_the_operators_and_the_format_that_older_runtimes_have(equivariant, opset, format_version):
     run, newest = equivariant
     model = newest if opset is None else onnx.export(run, opset=opset)
     proto = ModelProto.FromString(model.data)
     assert [(each.domain, each.version) for each in proto.opset_import] == [("", opset or 23)]
     assert proto.ir_version == format_version
-    assert model.difference(run, 50) < onnx.TOLERANCE
+    assert model.difference(run, CHECKED) < onnx.TOLERANCE
     positions = configurations(ROBOTS, 20)
     memory = np.zeros((20, model.session().get_inputs()[1].shape[1]), np.float32)
     theirs, ours = (each.session().run(None, {"positions": positions, "memory": memory}) for each in (model, newest))
@@ -266,10 +268,13 @@ def test_a_model_is_in_the_operators_and_the_format_that_older_runtimes_have(equ
 
 
 def test_robots_with_their_own_eyes_have_older_operators_too():
-    run = local("C2", False)[0]
+    run = local("C1", False)[0]
     model = onnx.export(run, opset=17)
-    assert model.difference(run, 50) < onnx.TOLERANCE
-    assert model.session().run(None, {"others": EMPTY})[0].shape == (3, 2)
+    proto = ModelProto.FromString(model.data)
+    assert ([each.version for each in proto.opset_import], proto.ir_version) == ([17], 8)
+    assert model.difference(run, CHECKED) < onnx.TOLERANCE
+    inputs = {"others": EMPTY, "point": np.zeros((3, 2), np.float32)}
+    assert model.session().run(None, inputs)[0].shape == (3, 2)
 
 
 @pytest.mark.parametrize("opset", [16, 24, 17.5])
@@ -280,9 +285,9 @@ def test_operators_of_other_versions_are_refused(equivariant, opset):
 
 def test_the_check_finds_a_model_of_something_else(equivariant):
     run, model = equivariant
-    assert model.difference(run, 250) < onnx.TOLERANCE
+    assert model.difference(run, CHECKED) < onnx.TOLERANCE
     other = untrained("equivariant", seed=1)
-    assert replace(model, program=programs.cascade_program(other)).difference(run, 250) > 100 * onnx.TOLERANCE
+    assert replace(model, program=programs.cascade_program(other)).difference(run, CHECKED) > 100 * onnx.TOLERANCE
 
 
 def test_a_model_says_what_it_is(equivariant):
@@ -300,10 +305,10 @@ def test_a_policy_that_is_not_there_is_refused(equivariant, index):
 
 
 def test_several_local_policies_do_not_make_a_cascade_of_robots_on_their_own():
-    run = untrained("local", policies=2)
+    one = local("C1", False)[0]
+    run = replace(one, cascade=eqx.tree_at(lambda c: c.policies, one.cascade, 2 * one.cascade.policies))
     with pytest.raises(InputError, match="no robot alone can tell"):
         onnx.export(run)
-    assert onnx.export(run, 1).difference(run, 100) < 1e-5
 
 
 def test_the_example_runs_a_cascade_to_rest(equivariant, tmp_path, capsys):

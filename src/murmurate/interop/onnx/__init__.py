@@ -217,7 +217,7 @@ def _samples(
             yield _views_and_velocities(run, program, count, rng)
             continue
         inputs = _random_inputs(run, program, size, count, rng)
-        outputs = jax.jit(program.function)(*map(jnp.asarray, inputs.values()))
+        outputs = program.compiled(*map(jnp.asarray, inputs.values()))
         if program.policy is not None and size == robots:
             outputs = (_velocities(run, program.policy, inputs["positions"]),)
         yield inputs, outputs

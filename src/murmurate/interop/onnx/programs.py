@@ -12,11 +12,13 @@ need not work with a symbolic number of robots.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -58,6 +60,11 @@ class Program:
     metadata: Mapping[str, str]
     foreign: Mapping[str, Strategy]
     policy: int | None = None
+
+    @functools.cached_property
+    def compiled(self) -> Callable[..., tuple[Array, ...]]:
+        """The function, compiled once for each shape of its inputs."""
+        return jax.jit(self.function)
 
 
 def policy_program(run: Run, index: int) -> Program:
