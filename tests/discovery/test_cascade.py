@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 from handmade import approach, shake
 
+import murmurate
 from murmurate import prng
 from murmurate.discovery import Cascade, RestRule, check_validity
+from murmurate.discovery.cascade import tile_episodes
 from murmurate.errors import InputError
 from murmurate.policies.baselines import Baseline
 from murmurate.world import (
@@ -135,13 +137,14 @@ def test_signals_are_those_of_the_recorded_positions():
                 np.testing.assert_allclose(ran.signals[name][episode, step], value, atol=1e-5, err_msg=name)
 
 
-COMPANY = 20
+COMPANY = 70
+"""More than are executed at once."""
 SIX = WorldConfig(robots=6, half_width=35.0, half_height=35.0, scan_radius=105.0)
 
 
 @pytest.fixture(scope="module")
 def asynchronous():
-    """Rolls out robots that circle, each in its own time with noisy sight: the first 1, or 1 and 20 others."""
+    """Rolls out robots that circle, each in its own time with noisy sight: the first 1, or 1 and 70 others."""
     world = with_array_leaves(World.create(SIX, UniformStart(), "C2"))
     scheduler, sensing = AsyncScheduler(rigid=False), VisibleSensing(rotation=True, bearing_noise=0.01)
     env = LocalObservation(SchedulerWrapper(world, scheduler), sensing, SIX)
@@ -161,17 +164,38 @@ def test_an_ended_episode_does_not_complete_the_moves_that_its_robots_had_begun(
 
 
 def test_an_episode_is_the_same_alone_and_in_company(asynchronous):
-    """What it does, by which dice, and what it is judged by; a batch of another size may be rounded in another way."""
+    """What it does, by which dice, and what it is judged by."""
     alone, together = asynchronous
     length = int(alone.lengths[0])
     assert length < together.lengths.max()
-    np.testing.assert_allclose(together.positions[0, : length + 1], alone.positions[0], atol=1e-4)
-    np.testing.assert_allclose(together.final[0], alone.final[0], atol=1e-4)
+    np.testing.assert_array_equal(together.positions[0, : length + 1], alone.positions[0])
+    np.testing.assert_array_equal(together.final[0], alone.final[0])
     for field in ("lengths", "switch", "at_rest", "terminated", "epochs"):
         np.testing.assert_array_equal(getattr(together, field)[0], getattr(alone, field)[0], err_msg=field)
     first, second = (check_validity(ran, SIX) for ran in (alone, together))
     for field in ("contact_free", "inside", "mutually_visible", "gathered", "safe", "at_rest"):
         assert getattr(first, field)[0] == getattr(second, field)[0], field
+
+
+def test_networks_move_a_swarm_alike_alone_and_in_company(tiny_run):
+    """To the last bit, wherever the episode is in the batch, also in one that is executed in two parts."""
+    run = murmurate.load(tiny_run("equivariant"))
+    starts = run.starts(tile_episodes(3) + 6, key=1)
+    together = run.cascade.rollout(starts)
+    for episode in (0, 5, tile_episodes(3), tile_episodes(3) + 5):
+        alone = run.cascade.rollout(starts[episode : episode + 1])
+        length = alone.lengths[0]
+        assert length == together.lengths[episode]
+        np.testing.assert_array_equal(together.positions[episode, : length + 1], alone.positions[0])
+        assert together.switch[episode].tolist() == alone.switch[0].tolist()
+        for name, values in alone.signals.items():
+            np.testing.assert_array_equal(together.signals[name][episode, : length + 1], values[0])
+    assert_holds_still(together)
+
+
+@pytest.mark.parametrize(("robots", "episodes"), [(2, 64), (8, 64), (16, 32), (30, 8), (90, 1), (2000, 1)])
+def test_what_is_executed_at_once_fits_in_a_cache(robots, episodes):
+    assert tile_episodes(robots) == episodes
 
 
 def test_the_dice_of_an_episode_depend_on_its_index_alone():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,10 +17,16 @@ from murmurate.errors import MAX_INTEGER, MAX_MAGNITUDE, check_number
 from murmurate.types import Trajectories
 from murmurate.world import World, Wrapper
 
-__all__ = ["Cascade", "RestRule"]
+__all__ = ["Cascade", "RestRule", "tile_episodes"]
 
 CHUNK = 50
 """Steps between two checks whether every episode has ended."""
+
+TILE_PAIRS = 1 << 13
+"""Pairs of robots in the episodes that are executed at once: what is computed of each pair fits in a core's cache."""
+
+TILE_EPISODES = 64
+"""Episodes that are executed at once, at most."""
 
 
 @dataclass(frozen=True)
@@ -108,41 +115,94 @@ class Cascade(eqx.Module):
         Returns:
             What happened, until the last episode ended.
         """
-        positions = jnp.moveaxis(jnp.asarray(starts, jnp.float32), 0, -1)
+        starts = np.asarray(starts, np.float32)
+        size = tile_episodes(starts.shape[1])
+        keys = np.asarray(_episode_key_data(jnp.asarray(seed, jnp.uint32), len(starts)))
+        tiles = [
+            self._execute_tile(starts[first : first + size], keys[first : first + size], size)
+            for first in range(0, len(starts), size)
+        ]
+        return _concatenated(tiles)
+
+    def _execute_tile(
+        self, starts: Float[np.ndarray, "episodes robots 2"], keys: UInt32[np.ndarray, "episodes two"], size: int
+    ) -> Trajectories:
+        """Executes few episodes as part of a batch of a fixed size, which copies of the first one fill."""
+        episodes = len(starts)
+        chosen = np.where(np.arange(size) < episodes, np.arange(size), 0)
         # Committed to its device, as the weights of a training are and all that is computed with them: otherwise the
         # second chunk would be another program than the first.
+        positions = jnp.asarray(np.moveaxis(starts[chosen], 0, -1))
         positions = jax.device_put(positions, positions.sharding)
-        status, first = _begin(self, positions, jnp.asarray(seed, jnp.uint32))
+        status, first = _begin(self, positions, jnp.asarray(keys[chosen]), jnp.asarray(episodes, jnp.int32))
         parts = [jax.device_get(first)]
         while bool(jnp.any(status.moving())):
             status, part = _advance(self, status)
             parts.append(jax.device_get(part))
-        lengths = np.asarray(status.length)
+        lengths = np.asarray(status.length)[:episodes]
         steps = int(lengths.max()) + 1
-        positions = np.concatenate([p for p, _ in parts])[:steps]
-        names = self.world.objective.names
+        positions, signals = jax.tree.map(lambda *parts: np.concatenate(parts)[:steps, ..., :episodes], *parts)
         return Trajectories(
             positions=np.ascontiguousarray(np.moveaxis(positions, -1, 0)),
             lengths=lengths.astype(np.int32),
-            switch=np.asarray(status.switch[:-1].T, np.int32),
-            at_rest=np.asarray(status.at_rest),
-            terminated=np.asarray(status.terminated),
-            signals={n: np.concatenate([s[n] for _, s in parts])[:steps].T for n in names},
-            epochs=np.asarray(status.state.epochs, np.int32),
+            switch=np.asarray(status.switch[:-1, :episodes].T, np.int32),
+            at_rest=np.asarray(status.at_rest)[:episodes],
+            terminated=np.asarray(status.terminated)[:episodes],
+            signals={name: values.T for name, values in signals.items()},
+            epochs=np.asarray(status.state.epochs, np.int32)[:episodes],
         )
+
+
+def tile_episodes(robots: int) -> int:
+    """Returns how many episodes of a swarm of this size are executed at once, a power of two.
+
+    It is the same for any number of episodes. So each of them is computed alike whatever the others are, to the last
+    bit, and a program that was compiled for some episodes serves any number.
+    """
+    fitting = max(TILE_PAIRS // robots**2, 1)
+    return min(TILE_EPISODES, 1 << (fitting.bit_length() - 1))
+
+
+def _concatenated(tiles: Sequence[Trajectories]) -> Trajectories:
+    """Returns the episodes of all tiles; those of the shorter ones hold still until the end of the longest."""
+    steps = max(tile.positions.shape[1] for tile in tiles)
+
+    def join(parts: Iterable[np.ndarray]) -> np.ndarray:
+        return np.concatenate(
+            [np.pad(x, ((0, 0), (0, steps - x.shape[1]), *[(0, 0)] * (x.ndim - 2)), mode="edge") for x in parts]
+        )
+
+    return Trajectories(
+        positions=join(tile.positions for tile in tiles),
+        lengths=np.concatenate([tile.lengths for tile in tiles]),
+        switch=np.concatenate([tile.switch for tile in tiles]),
+        at_rest=np.concatenate([tile.at_rest for tile in tiles]),
+        terminated=np.concatenate([tile.terminated for tile in tiles]),
+        signals={name: join(tile.signals[name] for tile in tiles) for name in tiles[0].signals},
+        epochs=np.concatenate([tile.epochs for tile in tiles]),
+    )
+
+
+@eqx.filter_jit
+def _episode_key_data(seed: UInt32[Array, ""], episodes: int) -> UInt32[Array, "episodes two"]:
+    return jax.random.key_data(jax.random.split(prng.key(seed), episodes))
 
 
 @eqx.filter_jit
 def _begin(
-    cascade: Cascade, positions: Float[Array, "robots 2 batch"], seed: UInt32[Array, ""]
+    cascade: Cascade,
+    positions: Float[Array, "robots 2 batch"],
+    keys: UInt32[Array, "batch two"],
+    episodes: Int[Array, ""],
 ) -> tuple[_Status, tuple[Array, Any]]:
     batch = positions.shape[-1]
     zero, false = jnp.zeros(batch, jnp.int32), jnp.zeros(batch, bool)
     signals = cascade.world.signals(positions)
     status = _Status(
-        state=cascade.env.state(positions, seed),
+        state=cascade.env.state(positions, prng.wrap(keys)),
         signals=signals,
-        active_policy=zero,
+        # The rest of the batch has ended before it began.
+        active_policy=jnp.where(jnp.arange(batch) < episodes, 0, len(cascade.policies)),
         steps_active=zero,
         # Of a stated type, not a weak one: the next call would be compiled once more.
         recent_changes=jnp.full((cascade.rest.window, batch), jnp.inf, jnp.float32),

@@ -223,7 +223,7 @@ class Wrapper(eqx.Module):
 
         Args:
             positions: The configurations.
-            seed: Seed of the robots' frames, of noise and of the scheduler.
+            seed: Seed of the robots' frames, of noise and of the scheduler; or a key for each episode.
         """
         return self.env.state(positions, seed)
 

@@ -18,7 +18,14 @@ __all__ = ["draw_each", "episode_keys", "key_data", "next_keys", "wrap_keys"]
 
 
 def episode_keys(seed: Any, positions: Float[Array, "robots 2 *batch"]) -> Key[Array, "*batch"]:
-    """Returns a key for the episode that begins at a configuration, or for each of a batch."""
+    """Returns a key for the episode that begins at a configuration, or for each of a batch.
+
+    Args:
+        seed: A seed, or the keys themselves.
+        positions: The configuration, or the batch of them.
+    """
+    if isinstance(seed, jax.Array) and jnp.issubdtype(seed.dtype, jax.dtypes.prng_key):
+        return seed
     key = prng.key(seed)
     return jax.random.split(key, positions.shape[2:]) if positions.ndim > 2 else key
 
