@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,14 +13,18 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from murmurate import prng
-from murmurate.errors import MAX_INTEGER, MAX_MAGNITUDE, check_number
+from murmurate.errors import MAX_INTEGER, MAX_MAGNITUDE, InputError, check_number
+from murmurate.geometry._checks import check_vectors
 from murmurate.types import Trajectories
 from murmurate.world import World, Wrapper
 
 __all__ = ["Cascade", "RestRule"]
 
 CHUNK = 50
-"""Steps between two checks whether every episode has ended."""
+"""Steps between two checks whether every episode has ended, at most."""
+
+CHUNK_TRIPLES = 1 << 28
+"""Triples of robots in all steps of a chunk, about, from two steps on: they take seconds, in which nothing interrupts."""
 
 
 @dataclass(frozen=True)
@@ -98,28 +103,45 @@ class Cascade(eqx.Module):
         return self.env.unwrapped if isinstance(self.env, Wrapper) else self.env
 
     @prng.reproducible()
-    def rollout(self, starts: Float[np.ndarray, "episodes robots 2"], seed: int = 0) -> Trajectories:
+    def rollout(
+        self,
+        starts: Float[np.ndarray, "episodes robots 2"],
+        seed: int = 0,
+        on_chunk: Callable[[int, int, int], None] | None = None,
+    ) -> Trajectories:
         """Executes the cascade from the given configurations, always with the most likely action.
 
         Args:
             starts: One configuration for each episode.
             seed: Seed of the robots' frames, of noise and of the scheduler, where there are any.
+            on_chunk: Called as `on_chunk(steps, max_steps, ended)` after every chunk of steps: those executed, those
+                after which the last episode is cut off, and how many episodes have ended.
 
         Returns:
             What happened, until the last episode ended.
+
+        Raises:
+            InputError: The starts have another shape, or the seed is none.
         """
+        starts = self._checked(starts)
+        check_number("seed", seed, 0, prng.MAX_SEED, integer=True)
         positions = jnp.moveaxis(jnp.asarray(starts, jnp.float32), 0, -1)
         # Committed to its device, as the weights of a training are and all that is computed with them: otherwise the
         # second chunk would be another program than the first.
         positions = jax.device_put(positions, positions.sharding)
         status, first = _begin(self, positions, jnp.asarray(seed, jnp.uint32))
         parts = [jax.device_get(first)]
-        while bool(jnp.any(status.moving())):
-            status, part = _advance(self, status)
+        episodes, robots, _ = starts.shape
+        steps = max(2, min(CHUNK, CHUNK_TRIPLES // (episodes * robots**3)))
+        max_steps = self.rest.max_steps * len(self.policies)
+        while np.any(status.moving()):
+            status, part = _advance(self, status, steps)
             parts.append(jax.device_get(part))
+            if on_chunk is not None:
+                on_chunk(int(status.length.max()), max_steps, episodes - np.count_nonzero(status.moving()))
         lengths = np.asarray(status.length)
-        steps = int(lengths.max()) + 1
-        positions = np.concatenate([p for p, _ in parts])[:steps]
+        recorded = int(lengths.max()) + 1
+        positions = np.concatenate([p for p, _ in parts])[:recorded]
         names = self.world.objective.names
         return Trajectories(
             positions=np.ascontiguousarray(np.moveaxis(positions, -1, 0)),
@@ -127,9 +149,21 @@ class Cascade(eqx.Module):
             switch=np.asarray(status.switch[:-1].T, np.int32),
             at_rest=np.asarray(status.at_rest),
             terminated=np.asarray(status.terminated),
-            signals={n: np.concatenate([s[n] for _, s in parts])[:steps].T for n in names},
+            signals={n: np.concatenate([s[n] for _, s in parts])[:recorded].T for n in names},
             epochs=np.asarray(status.state.epochs, np.int32),
         )
+
+    def _checked(self, starts: Any) -> Any:
+        """Returns starts as an array of the right shape.
+
+        Raises:
+            InputError: They are none.
+        """
+        _, points = check_vectors("starts", starts)
+        robots = self.world.config.robots
+        if points.ndim != 3 or points.shape[1] != robots or not len(points):
+            raise InputError("starts", points.shape, f"finite numbers of shape (episodes, {robots}, 2)")
+        return points
 
 
 @eqx.filter_jit
@@ -155,8 +189,8 @@ def _begin(
 
 
 @eqx.filter_jit
-def _advance(cascade: Cascade, status: _Status) -> tuple[_Status, tuple[Array, dict[str, Array]]]:
-    return jax.lax.scan(lambda status, _: _step(cascade, status), status, None, length=CHUNK)
+def _advance(cascade: Cascade, status: _Status, steps: int) -> tuple[_Status, tuple[Array, dict[str, Array]]]:
+    return jax.lax.scan(lambda status, _: _step(cascade, status), status, None, length=steps)
 
 
 def _step(cascade: Cascade, status: _Status) -> tuple[_Status, tuple[Array, dict[str, Array]]]:

@@ -6,6 +6,7 @@ finger. Whatever holds a number for each pair of robots, or each step of an epis
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -48,7 +49,12 @@ def check_training(problem: Problem) -> None:
     check_pairs("discovery.episodes", problem.discovery.episodes, robots)
 
 
-def rollout(cascade: Cascade, starts: Float[np.ndarray, "episodes robots 2"], seed: int = 0) -> Trajectories:
+def rollout(
+    cascade: Cascade,
+    starts: Float[np.ndarray, "episodes robots 2"],
+    seed: int = 0,
+    on_chunk: Callable[[int, int, int], None] | None = None,
+) -> Trajectories:
     """Executes a cascade as `Cascade.rollout` does, as long as the record of it fits in memory.
 
     Most episodes come to rest long before they would be cut off. So it is not refused for what it might take: where
@@ -58,6 +64,7 @@ def rollout(cascade: Cascade, starts: Float[np.ndarray, "episodes robots 2"], se
         cascade: The cascade.
         starts: One configuration for each episode.
         seed: See `Cascade.rollout`.
+        on_chunk: See `Cascade.rollout`.
 
     Raises:
         InputError: So many episodes of so many robots do not fit at once.
@@ -71,9 +78,9 @@ def rollout(cascade: Cascade, starts: Float[np.ndarray, "episodes robots 2"], se
         raise InputError("rest.window", rest.window, allowed)
     most = max(MAX_RECORD_BYTES // (starts.size * 4 * policies), 1)
     if rest.max_steps <= most:
-        return cascade.rollout(starts, seed=seed)
+        return cascade.rollout(starts, seed, on_chunk)
     capped = Cascade(cascade.policies, cascade.env, replace(rest, max_steps=most))
-    trajectories = capped.rollout(starts, seed=seed)
+    trajectories = capped.rollout(starts, seed, on_chunk)
     if (~trajectories.at_rest & ~trajectories.terminated).any():
         raise RunError(
             f"{episodes} episodes of {robots} robots did not come to rest in {most} steps, more than memory holds: try "

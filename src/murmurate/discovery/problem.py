@@ -204,6 +204,11 @@ class Problem:
         )
         return replace(self, world=world, rest=rest, sizes=())
 
+    def usual_steps(self, policies: int) -> float:
+        """Returns about how many steps a list of policies takes: from half of the world's side away, and until rest."""
+        steps = self.world.half_width / self.world.max_speed
+        return self.scheduler.period * (steps + policies * self.rest.window)
+
     @property
     def rest_in_steps(self) -> RestRule:
         """When a policy has come to rest under the scheduler.

@@ -16,6 +16,7 @@ from murmurate.analysis.optimum.best_known import BestKnown, best_known, is_reco
 from murmurate.analysis.optimum.formation import Target
 from murmurate.discovery import Trajectories, Validity, bound_steps, check_validity
 from murmurate.errors import check_path, check_type
+from murmurate.runs import progress
 from murmurate.runs.experiment import ExperimentConfig
 from murmurate.runs.folder import RunFolder, describe_starts, is_fresh
 from murmurate.runs.presets import command
@@ -159,7 +160,8 @@ def evaluate(
         seed: Seed of the starts, of the robots' frames, of noise and of the scheduler.
         starts: Configurations to begin at instead of fresh ones, world units.
         file: Name of the file that those are from, for the record.
-        on_progress: Called as `on_progress(work, done, total, **values)` before and after each part of the work.
+        on_progress: Called as `on_progress(work, done, total, **values)` before and after each part of the work, and
+            every few seconds while episodes are executed.
 
     Raises:
         InputError: A start has another shape, is in contact or lies outside the world.
@@ -167,7 +169,9 @@ def evaluate(
     check_type("run", run, Run, "a run, such as murmurate.load(folder)")
     report, count = on_progress or (lambda *_, **__: None), episodes if starts is None else len(starts)
     report("episodes executed", 0, count)
-    trajectories = run.rollout(episodes if starts is None else starts, seed)
+    usual_steps = run.experiment.usual_steps(len(run.cascade.policies))
+    on_chunk = progress.on_chunk(report, "episodes executed", count, usual_steps)
+    trajectories = run.rollout(episodes if starts is None else starts, seed, on_chunk)
     report("episodes executed", count, count)
     experiment, first, final = run.experiment, trajectories.positions[:, 0], trajectories.final
     bound = [bound_steps(*ends, experiment.world.max_speed) for ends in zip(first, final, strict=True)]

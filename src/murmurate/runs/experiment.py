@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from murmurate import untrusted
+from murmurate import prng, untrusted
 from murmurate.discovery import MAX_REST_STEPS, Problem
 from murmurate.discovery.problem import GATHERING
 from murmurate.errors import InputError, RunError, check_choice, check_number, shown
@@ -34,8 +34,6 @@ EXPERIMENT = "experiment.toml"
 
 STARTS = "starts.csv"
 """A run that begins at given positions keeps its own copy of them under this name."""
-
-MAX_SEED = 2**32 - 1
 
 
 @dataclass(frozen=True)
@@ -133,8 +131,8 @@ def check_seed(seed: object) -> None:
     Raises:
         InputError: It is no integer, or out of bounds.
     """
-    if not isinstance(seed, int) or isinstance(seed, bool) or not 0 <= seed <= MAX_SEED:
-        raise InputError("seed", seed, f"an integer from 0 to {MAX_SEED}")
+    if not isinstance(seed, int) or isinstance(seed, bool) or not 0 <= seed <= prng.MAX_SEED:
+        raise InputError("seed", seed, f"an integer from 0 to {prng.MAX_SEED}")
 
 
 def read_toml(path: str | Path) -> dict[str, Any]:
