@@ -115,7 +115,7 @@ def test_starts_that_are_none_are_refused(starts, line):
 
 @pytest.mark.parametrize("seed", [None, "x", 1.5, -1, 2**32, True])
 def test_seeds_that_are_none_are_refused(seed):
-    with pytest.raises(InputError, match="^seed = .*: must be an integer >= 0 and <= 4294967295$"):
+    with pytest.raises(InputError, match=r"^seed = .*: must be an integer >= 0 and <= 4294967295$"):
         Cascade((approach(5),), world(), RULE).rollout(np.zeros((1, 2, 2)), seed)
 
 

@@ -24,7 +24,7 @@ CHUNK = 50
 """Steps between two checks whether every episode has ended, at most."""
 
 CHUNK_TRIPLES = 1 << 28
-"""Triples of robots in all steps of a chunk, about, from two steps on: they take seconds, in which nothing interrupts."""
+"""Triples of robots in all steps of a chunk of two or more, about: they take seconds, and nothing interrupts them."""
 
 
 @dataclass(frozen=True)

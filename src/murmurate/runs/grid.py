@@ -155,9 +155,8 @@ class Grid:
         """
         check_number("--seeds", seeds, 1, MAX_RUNS, integer=True)
         if config.seed + seeds - 1 > prng.MAX_SEED:
-            raise InputError(
-                "--seeds", seeds, f"at most {prng.MAX_SEED - config.seed + 1}: seeds end at {prng.MAX_SEED}"
-            )
+            most = prng.MAX_SEED - config.seed + 1
+            raise InputError("--seeds", seeds, f"at most {most}: seeds end at {prng.MAX_SEED}")
         leaves = {leaf.path: leaf for leaf in config_io.leaves(config)}
         axes: dict[str, list[str]] = {}
         for text in vary:
