@@ -96,15 +96,14 @@ def test_chunks_of_large_swarms_are_short_and_change_nothing(monkeypatch):
 @pytest.mark.parametrize(
     ("starts", "line"),
     [
-        (["a", "b"], "starts = (2,): must be finite numbers of shape (..., robots, 2)"),
-        ([[["a", "b"], ["c", "d"]]], "starts = '<U1': must be finite numbers"),
-        (None, "starts = (): must be finite numbers"),
-        (3, "starts = (): must be finite numbers"),
-        (np.zeros((2, 2)), "starts = (2, 2): must be finite numbers of shape (episodes, 2, 2)"),
-        (np.zeros((1, 3, 2)), "starts = (1, 3, 2): must be finite numbers of shape (episodes, 2, 2)"),
-        (np.zeros((0, 2, 2)), "starts = (0, 2, 2): must be finite numbers of shape (episodes, 2, 2)"),
-        ([[[0, 0], [np.nan, 0]]], "starts = [nan, 0.0]: must be finite numbers"),
-        ([[[0, 0]], [[1, 0], [2, 0]]], "starts = 'list': must be finite numbers"),
+        (["a", "b"], "starts = ['a', 'b']: must be finite numbers of shape (episodes, 2, 2)"),
+        (None, "starts = 'an array ()': must be finite numbers"),
+        (3, "starts = 'an array ()': must be finite numbers"),
+        (np.zeros((2, 2)), "starts = 'an array (2, 2)': must be finite numbers of shape (episodes, 2, 2)"),
+        (np.zeros((1, 3, 2)), "starts = 'an array (1, 3, 2)': must be finite numbers of shape (episodes, 2, 2)"),
+        (np.zeros((0, 2, 2)), "starts = 'an array (0, 2, 2)': must be finite numbers"),
+        ([[[0, 0], [np.nan, 0]]], "starts = 'numbers that are not finite': must be finite"),
+        ([[[0, 0]], [[1, 0], [2, 0]]], "starts = [[[0, 0]], [[1, 0], [2, 0]]]: must be finite numbers"),
     ],
 )
 def test_starts_that_are_none_are_refused(starts, line):

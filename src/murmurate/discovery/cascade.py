@@ -13,10 +13,9 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from murmurate import prng
-from murmurate.errors import MAX_INTEGER, MAX_MAGNITUDE, InputError, check_number
-from murmurate.geometry._checks import check_vectors
+from murmurate.errors import MAX_INTEGER, MAX_MAGNITUDE, InputError, check_function, check_number
 from murmurate.types import Trajectories
-from murmurate.world import World, Wrapper
+from murmurate.world import World, Wrapper, checked_starts
 
 __all__ = ["Cascade", "RestRule"]
 
@@ -123,8 +122,11 @@ class Cascade(eqx.Module):
         Raises:
             InputError: The starts have another shape, or the seed is none.
         """
-        starts = self._checked(starts)
+        starts = checked_starts("starts", starts, self.world.config.robots)
+        if not np.isfinite(starts).all():
+            raise InputError("starts", "numbers that are not finite", "finite")
         check_number("seed", seed, 0, prng.MAX_SEED, integer=True)
+        check_function("on_chunk", on_chunk, "on_chunk(steps, max_steps, ended)")
         positions = jnp.moveaxis(jnp.asarray(starts, jnp.float32), 0, -1)
         # Committed to its device, as the weights of a training are and all that is computed with them: otherwise the
         # second chunk would be another program than the first.
@@ -152,18 +154,6 @@ class Cascade(eqx.Module):
             signals={n: np.concatenate([s[n] for _, s in parts])[:recorded].T for n in names},
             epochs=np.asarray(status.state.epochs, np.int32),
         )
-
-    def _checked(self, starts: Any) -> Any:
-        """Returns starts as an array of the right shape.
-
-        Raises:
-            InputError: They are none.
-        """
-        _, points = check_vectors("starts", starts)
-        robots = self.world.config.robots
-        if points.ndim != 3 or points.shape[1] != robots or not len(points):
-            raise InputError("starts", points.shape, f"finite numbers of shape (episodes, {robots}, 2)")
-        return points
 
 
 @eqx.filter_jit

@@ -15,9 +15,9 @@ from jaxtyping import Float
 from murmurate.discovery.cascade import Cascade
 from murmurate.discovery.problem import Problem
 from murmurate.discovery.stage import policy_name
-from murmurate.errors import InputError, RunError
+from murmurate.errors import InputError, RunError, check_type
 from murmurate.types import Trajectories
-from murmurate.world import check_pairs
+from murmurate.world import check_pairs, checked_starts
 
 __all__ = ["MAX_RECORD_BYTES", "MAX_REST_STEPS", "check_training", "rollout"]
 
@@ -70,7 +70,9 @@ def rollout(
         InputError: So many episodes of so many robots do not fit at once.
         RunError: An episode went on until memory was full.
     """
-    episodes, robots = starts.shape[:2]
+    check_type("cascade", cascade, Cascade, "a cascade, such as run.cascade")
+    starts = checked_starts("starts", starts, cascade.world.config.robots)
+    episodes, robots, _ = starts.shape
     check_pairs("episodes", episodes, robots)
     rest, policies = cascade.rest, len(cascade.policies)
     if rest.window > MAX_RECORD_BYTES // (4 * episodes):

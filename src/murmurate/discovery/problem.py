@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
 from murmurate.discovery.cascade import RestRule
-from murmurate.errors import MAX_INTEGER, MAX_MAGNITUDE, InputError, check_number
+from murmurate.errors import MAX_INTEGER, MAX_MAGNITUDE, InputError, check_number, check_type
 from murmurate.learning import PPOConfig
 from murmurate.policies import NoShield, Policy, Shield
 from murmurate.world import (
@@ -107,6 +107,15 @@ class DiscoveryConfig:
         if self.max_policies < self.min_policies:
             raise InputError("max_policies", self.max_policies, f"at least min_policies = {self.min_policies}")
         check_number("required_valid", self.required_valid, 0, 1)
+
+
+def check_problem(problem: object) -> None:
+    """Checks an argument that says what is to be discovered.
+
+    Raises:
+        InputError: It is something else.
+    """
+    check_type("problem", problem, Problem, "an experiment, such as run.experiment")
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,17 @@ from murmurate import prng
 from murmurate.analysis.optimum.best_known import best_known
 from murmurate.analysis.optimum.formation import Target
 from murmurate.discovery import Trajectories, bound_steps, build_cascade, check_validity, rollout
-from murmurate.errors import MAX_MAGNITUDE, InputError, RunError, check_choice, check_number, printable, shown
+from murmurate.errors import (
+    MAX_MAGNITUDE,
+    InputError,
+    RunError,
+    check_choice,
+    check_number,
+    check_path,
+    check_type,
+    printable,
+    shown,
+)
 from murmurate.geometry import neighbors_and_visible
 from murmurate.policies import LocalPolicy
 from murmurate.policies.baselines import Baseline
@@ -253,6 +263,8 @@ def compare(
     Raises:
         RunError: The folder holds another comparison, or cannot be written to, or a condition failed.
     """
+    check_type("comparison", comparison, Comparison, "a comparison")
+    check_path("folder", folder)
     folder = Path(folder)
     path, settings = folder / COMPARISON, _settings(comparison, runs)
     rows = _read_rows(path, settings) if path.exists() else {}
@@ -360,6 +372,7 @@ def load(folder: str | Path) -> dict[str, Any]:
     Raises:
         RunError: It is missing or damaged.
     """
+    check_path("folder", folder)
     path = files.inside(folder, COMPARISON)
     comparison = files.read_json_object(path)
     rows, commands = comparison.get("rows"), comparison.setdefault("commands", [])

@@ -12,7 +12,7 @@ from typing import Any, Literal
 from murmurate import prng, untrusted
 from murmurate.discovery import MAX_REST_STEPS, Problem
 from murmurate.discovery.problem import GATHERING
-from murmurate.errors import InputError, RunError, check_choice, check_number, shown
+from murmurate.errors import InputError, RunError, check_choice, check_number, check_path, check_type, shown
 from murmurate.registry import Importer, source_folder
 from murmurate.runs import config_io, files
 from murmurate.world import OBJECTIVES, FileStart, scaled_to
@@ -180,6 +180,8 @@ def save(config: ExperimentConfig, folder: str | Path) -> None:
     Raises:
         RunError: A file cannot be written.
     """
+    check_type("config", config, ExperimentConfig, "an experiment")
+    check_path("folder", folder)
     folder, start = Path(folder), config.start
     modules = dict(config.modules)
     for _, strategy in config_io.strategies(config):
@@ -210,6 +212,7 @@ def load(folder: str | Path, trusted: bool = False) -> ExperimentConfig:
     Raises:
         RunError: It is missing or not one that this version understands.
     """
+    check_path("folder", folder)
     path = Path(folder) / EXPERIMENT
     try:
         data = config_io.load_toml(files.inside(folder, EXPERIMENT), follow=False)

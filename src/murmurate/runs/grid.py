@@ -18,7 +18,7 @@ from typing import Any
 
 from murmurate import prng
 from murmurate.discovery import build_world, check_parts
-from murmurate.errors import InputError, RunError, check_choice, check_number, suggestion
+from murmurate.errors import InputError, RunError, check_choice, check_number, check_path, suggestion
 from murmurate.runs import config_io, files, presets
 from murmurate.runs.experiment import EXPERIMENT, ExperimentConfig, check_seed
 from murmurate.runs.folder import MANIFEST, FolderState, RunFolder
@@ -134,6 +134,7 @@ class Grid:
             InputError: A key, field or value is unknown or not allowed, a run comes twice, or there is none.
             OSError: A file cannot be read.
         """
+        check_path("path", path)
         path = Path(path)
         blocks = _blocks(config_io.load_toml(path), path.parent)
         _check_size(sum(_size(**block) for block in blocks))

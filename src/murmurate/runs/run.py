@@ -14,7 +14,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from murmurate import prng
 from murmurate.discovery import Cascade, Trajectories, build_cascade, policy_templates, rollout
-from murmurate.errors import BeyondTrainingWarning, InputError, RunError, check_number, check_path, check_type
+from murmurate.errors import BeyondTrainingWarning, InputError, RunError, check_number, check_type
 from murmurate.runs import files
 from murmurate.runs.experiment import EXPERIMENT, ExperimentConfig, check_seed
 from murmurate.runs.folder import MAX_EPISODES, METRICS, RunFolder
@@ -58,7 +58,6 @@ class Run:
             RunError: The folder is missing, unfinished, damaged or of an unknown version, or names modules and is not
                 trusted.
         """
-        check_path("folder", folder)
         run = RunFolder(folder)
         manifest = run.verify()
         experiment = run.experiment(trust)
@@ -115,7 +114,6 @@ class Run:
         Raises:
             RunError: The folder holds something already, or cannot be written to.
         """
-        check_path("folder", folder)
         target, metrics = RunFolder(folder), files.inside(self.folder, METRICS)
         target.create()
         target.write_experiment(self.experiment)

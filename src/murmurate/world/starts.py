@@ -25,10 +25,10 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from murmurate import prng, untrusted
-from murmurate.errors import MAX_INTEGER, InputError, check_choice, check_number
+from murmurate.errors import MAX_INTEGER, InputError, check_choice, check_number, check_path, check_type
 from murmurate.geometry import _batch_last
 from murmurate.registry import Strategy
-from murmurate.world.config import MAX_PAIRS, WorldConfig, with_array_leaves
+from murmurate.world.config import MAX_PAIRS, WorldConfig, check_world, with_array_leaves
 
 __all__ = [
     "DistributedStart",
@@ -44,6 +44,7 @@ __all__ = [
     "UniformStart",
     "check_configurations",
     "check_start",
+    "checked_starts",
     "draw_starts",
     "read_named_starts",
     "read_starts",
@@ -461,6 +462,9 @@ def draw_starts(
 
     Overlaps are redrawn in parts of about a second, between which Ctrl-C ends it.
     """
+    check_type("start", start, Start, "a start, such as UniformStart()")
+    check_number("count", count, 1, integer=True)
+    check_world(world)
     arguments = (with_array_leaves(start), key, count, with_array_leaves(world))
     points, overlapping = jax.device_get(_draw_part(*arguments, 0))
     if not overlapping.any():
@@ -505,6 +509,8 @@ def check_start(start: Start, world: WorldConfig) -> Start:
     Raises:
         InputError: The start returns another shape or type, or numbers that are not finite, or its robots do not fit.
     """
+    check_type("start", start, Start, "a start, such as UniformStart()")
+    check_world(world)
     if TRIALS * world.robots**2 > MAX_PAIRS:
         most = math.isqrt(MAX_PAIRS // TRIALS)
         raise InputError("world.robots", world.robots, f"at most {most}: memory holds no more pairs of them")
@@ -618,6 +624,8 @@ def read_named_starts(path: str | Path, robots: int) -> dict[str, Float[np.ndarr
         InputError: A column is missing or there twice, a row has too many cells, a value is no finite number, or a
             start has another number of robots.
     """
+    check_path("path", path)
+    check_number("robots", robots, 1, integer=True)
     source = str(path)
     try:
         # Spreadsheets begin files with a byte-order mark.
@@ -663,6 +671,27 @@ def _coordinate(source: str, line: int, row: dict[str, str | None], column: str)
     return value
 
 
+def checked_starts(field: str, points: Any, robots: int) -> Any:
+    """Returns configurations as an array, after checking that it is one of numbers of the right shape.
+
+    Args:
+        field: What they are called in an error.
+        points: The configurations.
+        robots: Number of robots.
+
+    Raises:
+        InputError: It is none.
+    """
+    allowed = f"finite numbers of shape (episodes, {robots}, 2)"
+    try:
+        array = np.asarray(points, float)
+    except (TypeError, ValueError):
+        raise InputError(field, points, allowed) from None
+    if array.ndim != 3 or array.shape[1:] != (robots, 2) or not len(array):
+        raise InputError(field, f"an array {array.shape}", allowed)
+    return array
+
+
 def check_configurations(
     points: Float[np.ndarray, "starts robots 2"], world: WorldConfig, source: str, names: Sequence[str] | None = None
 ) -> None:
@@ -677,6 +706,8 @@ def check_configurations(
     Raises:
         InputError: One is; the message names which.
     """
+    check_world(world)
+    points = checked_starts(source, points, world.robots)
     # Runs compute with float32, so the rounded positions are what must be free of contact.
     with np.errstate(over="ignore"):
         points = points.astype(np.float32).astype(float)
