@@ -135,12 +135,11 @@ def discover(
         >>> run = murmurate.discover("F", seed=1, base={"ppo": {"updates": 20}})  # doctest: +SKIP
     """
     from murmurate import compilation_cache
-    from murmurate.errors import InputError, check_path
+    from murmurate.errors import check_function, check_path
 
     if out is not None:
         check_path("out", out)
-    if on_progress is not None and not callable(on_progress):
-        raise InputError("on_progress", on_progress, "a function on_progress(work, done, total, **values)")
+    check_function("on_progress", on_progress, "on_progress(work, done, total, **values)")
     compilation_cache.configure()
     from murmurate.runs.train import discover as train  # only now, because it loads JAX
 

@@ -18,7 +18,9 @@ __all__ = [
     "InputError",
     "RunError",
     "UsageError",
+    "check_all",
     "check_choice",
+    "check_function",
     "check_number",
     "check_path",
     "check_type",
@@ -160,7 +162,7 @@ def check_choice(field: str, value: object, choices: Sequence[str]) -> None:
     Raises:
         InputError: The value is not one of the choices.
     """
-    if value not in choices:
+    if not isinstance(value, str) or value not in choices:
         raise InputError(field, value, f"one of {', '.join(choices)}")
 
 
@@ -188,6 +190,34 @@ def check_type(field: str, value: object, kind: type, words: str) -> None:
     """
     if not isinstance(value, kind):
         raise InputError(field, value, words)
+
+
+def check_all(field: str, values: object, kind: type, words: str) -> None:
+    """Checks that an argument is a sequence of values of one type.
+
+    Args:
+        field: The argument.
+        values: What was given.
+        kind: The type of each value.
+        words: What they are, in words.
+
+    Raises:
+        InputError: It is none, or one of them is of another type.
+    """
+    if isinstance(values, str | bytes) or not isinstance(values, Iterable):
+        raise InputError(field, values, words)
+    for value in values:
+        check_type(field, value, kind, words)
+
+
+def check_function(field: str, value: object, signature: str) -> None:
+    """Checks an argument that is a function, or None.
+
+    Raises:
+        InputError: It is neither.
+    """
+    if value is not None and not callable(value):
+        raise InputError(field, value, f"a function {signature}")
 
 
 def suggestion(word: str, known: Iterable[str]) -> str:

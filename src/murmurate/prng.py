@@ -19,9 +19,10 @@ from jaxtyping import Array, Bool, Float, Key, PRNGKeyArray
 
 from murmurate import forks
 
-__all__ = ["GENERATOR", "bernoulli", "key", "reproducible", "signs", "wrap"]
+__all__ = ["GENERATOR", "MAX_SEED", "bernoulli", "key", "reproducible", "signs", "wrap"]
 
 GENERATOR = "threefry2x32"
+MAX_SEED = 2**32 - 1
 
 
 @contextlib.contextmanager

@@ -2,7 +2,8 @@
 
 A folder from someone else may hold links to files elsewhere, pipes and devices that never end, or files of any size. So
 files are opened without following a link and without waiting, and read up to a stated size. Nothing is written to a
-file that is there: a new one, under a name that nobody can foresee, is moved into its place.
+file that is there: a new one, under a name that nobody can foresee, is moved into its place. What grows, metrics and
+logs, is copied first where other files are hard links to it. Those are read like any others: backups are made of them.
 
 Errors are `OSError`s whose `strerror` is a reason in words; none of them repeats what a file holds.
 """
@@ -18,7 +19,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
-__all__ = ["append", "check_inside", "create", "partial_files", "read", "read_end", "replace"]
+__all__ = ["append", "check_inside", "create", "detach", "partial_files", "read", "read_end", "replace"]
 
 # Not every system has all of these; without O_NOFOLLOW links are looked for first.
 _NO_FOLLOW = getattr(os, "O_NOFOLLOW", 0)
@@ -60,8 +61,22 @@ def read_end(path: str | os.PathLike[str], max_bytes: int) -> bytes:
         return file.read(max_bytes)
 
 
+def detach(path: str | os.PathLike[str], max_bytes: int) -> None:
+    """Puts a copy into a file's place where the file has other names, hard links: writing to it changes none of those.
+
+    Raises:
+        OSError: It cannot be copied, or is too large.
+    """
+    with contextlib.suppress(FileNotFoundError):
+        status = os.lstat(path)
+        if stat.S_ISREG(status.st_mode) and status.st_nlink > 1:
+            replace(path, read(path, max_bytes))
+
+
 def append(path: str | os.PathLike[str]) -> BinaryIO:
     """Opens a regular file without a buffer, to write behind its end or to lock it; creates it where there is none.
+
+    Before writing, see `detach`.
 
     Raises:
         OSError: It cannot be opened, is a link, or is no regular file.

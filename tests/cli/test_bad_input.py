@@ -207,7 +207,7 @@ def test_damaged_runs(refused, discovered, tmp_path, verb):
 
 def test_no_such_episode(refused, discovered):
     before = contents(discovered)
-    assert "episode = 200: must be an integer from 0 to 199" in refused("show", discovered, "--episode", "200")
+    assert "episode = 200: must be an integer >= 0 and <= 199" in refused("show", discovered, "--episode", "200")
     assert contents(discovered) == before
 
 

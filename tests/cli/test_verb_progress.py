@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import math
+import re
+
 import pytest
 
-from murmurate.cli import show
 from murmurate.cli.main import main
+from murmurate.discovery import cascade
+from murmurate.runs import progress
 
 OPTIMUM = ["--annealing.chains", "16", "--annealing.moves_per_robot", "50", "--polished", "2", "--hops", "2"]
+COMPARE = ["compare", "--methods", "learned", "--robots", "3", "--episodes", "4", "--out", "OUT"]
 
 
 @pytest.mark.parametrize(
@@ -37,7 +42,8 @@ OPTIMUM = ["--annealing.chains", "16", "--annealing.moves_per_robot", "50", "--p
         ),
     ],
 )
-def test_lines_in_a_log_and_none_with_quiet(words, lines, discovered, tmp_path, capsys):
+def test_lines_in_a_log_and_none_with_quiet(words, lines, discovered, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(progress, "CHUNK_SECONDS", math.inf)  # on a slow machine, there are lines about chunks besides
     for index, quiet in enumerate(([], ["--quiet"])):
         places = {"RUN": str(discovered), "OUT": str(tmp_path / f"out{index}"), "OUT.webp": str(tmp_path / "x.webp")}
         assert main([places.get(word, word) for word in words] + quiet) == 0
@@ -45,20 +51,37 @@ def test_lines_in_a_log_and_none_with_quiet(words, lines, discovered, tmp_path, 
         assert printed == ([] if quiet else lines)
 
 
-def test_a_large_swarm_is_said_to_take_its_time(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(show, "LARGE", 3)
-    monkeypatch.setattr(show, "MAX_PAIRS", 64)
-    assert main(["show", "--robots", "4", "--animation", str(tmp_path / "x.webp")]) == 0
-    out, err = capsys.readouterr()
-    first = err.splitlines()[0]
-    assert first.startswith("episodes executed: 0/4  about ")
-    assert first.endswith((" seconds", " minutes", " hours"))
-    assert " steps of " in first
-    assert "4 robots, 4 starts: " in out
+@pytest.mark.parametrize("words", [["evaluate", "RUN", "--episodes", "4", "--out", "OUT"], COMPARE])
+def test_long_episodes_are_reported(words, discovered, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(progress, "CHUNK_SECONDS", 0.0)
+    monkeypatch.setattr(cascade, "CHUNK_TRIPLES", 4 * 3**3 * 5)
+    for index, quiet in enumerate(([], ["--quiet"])):
+        places = {"RUN": str(discovered), "OUT": str(tmp_path / f"out{index}")}
+        assert main([places.get(word, word) for word in words] + quiet) == 0
+        lines = [line for line in capsys.readouterr().err.splitlines() if "  step " in line]
+        assert bool(lines) == (not quiet)
+        assert all(re.search(r"episodes( executed)?: [0-4]/4  step \d+ of [\d,]+ at most", line) for line in lines)
+
+
+def test_the_time_that_is_left_is_told_from_the_second_chunk_on(monkeypatch):
+    now = iter([60.0, 61.0, 70.0, 90.0, 100.0])
+    monkeypatch.setattr(progress.time, "monotonic", lambda: next(now))
+    told = []
+    on_chunk = progress.on_chunk(lambda *args, **values: told.append((args, values)), "episodes", 9, 1000.0, before=4)
+    on_chunk(10, 5000, 0)  # with the compilation
+    on_chunk(20, 5000, 1)  # too soon for another line
+    on_chunk(110, 5000, 1)
+    on_chunk(1000, 5000, 4)
+    on_chunk(1010, 5000, 6)
+    assert told == [
+        (("episodes", 5, 9), {"steps": "step 110 of 5,000 at most, about 89 seconds left"}),
+        (("episodes", 8, 9), {"steps": "step 1,000 of 5,000 at most"}),
+        (("episodes", 9, 9), {"steps": "step 1,010 of 5,000 at most"}),
+    ]
 
 
 @pytest.mark.parametrize(
     ("seconds", "words"), [(3.2, "3 seconds"), (119, "119 seconds"), (600, "10 minutes"), (7200, "2 hours")]
 )
 def test_times_in_words(seconds, words):
-    assert show._words(seconds) == words
+    assert progress.duration(seconds) == words

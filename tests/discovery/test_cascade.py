@@ -13,6 +13,7 @@ from handmade import approach, shake
 import murmurate
 from murmurate import prng
 from murmurate.discovery import Cascade, RestRule, check_validity
+from murmurate.discovery import cascade as cascade_module
 from murmurate.discovery.cascade import tile_episodes
 from murmurate.errors import InputError
 from murmurate.policies.baselines import Baseline
@@ -39,11 +40,11 @@ def world():
     return with_array_leaves(World.create(CONFIG, JitteredStart(jnp.zeros((1, 2, 2))), "C2", horizon=3))
 
 
-def run(policies, *distances, rule=RULE):
+def run(policies, *distances, rule=RULE, on_chunk=None):
     """Runs a cascade from two robots at x and -x, one episode for each x; the world's horizon is 3."""
     assert len(distances) == 4, "one size, one compilation"
     starts = np.array([[[x, 0.0], [-x, 0.0]] for x in distances])
-    return Cascade(tuple(policies), world(), rule).rollout(starts)
+    return Cascade(tuple(policies), world(), rule).rollout(starts, on_chunk=on_chunk)
 
 
 def assert_holds_still(ran):
@@ -70,6 +71,53 @@ def test_the_next_policy_takes_over_at_rest():
     np.testing.assert_array_equal(ran.final[..., 0], np.tile([4.0, -4.0], (4, 1)))
     assert ran.at_rest.all()
     assert_holds_still(ran)
+
+
+def test_every_chunk_is_reported_and_may_end_the_rollout():
+    told = []
+    run([shake(), approach(4)], 8.5, 4, 8.5, 7.5, on_chunk=lambda *numbers: told.append(numbers))
+    assert told == [(30 + 5 + WINDOW, 60, 4)]
+
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run([shake(), approach(4)], 8.5, 4, 8.5, 7.5, on_chunk=interrupt)
+
+
+def test_chunks_of_large_swarms_are_short_and_change_nothing(monkeypatch):
+    whole = run([approach(5)], 5, 6, 10, 18)
+    monkeypatch.setattr(cascade_module, "CHUNK_TRIPLES", tile_episodes(2) * 2**3 * 4)
+    told = []
+    short = run([approach(5)], 5, 6, 10, 18, on_chunk=lambda *numbers: told.append(numbers))
+    assert told == [(4, 30, 1), (8, 30, 2), (12, 30, 3), (16, 30, 3), (17, 30, 4)]
+    np.testing.assert_array_equal(short.positions, whole.positions)
+    np.testing.assert_array_equal(short.lengths, whole.lengths)
+
+
+@pytest.mark.parametrize(
+    ("starts", "line"),
+    [
+        (["a", "b"], "starts = ['a', 'b']: must be finite numbers of shape (episodes, 2, 2)"),
+        (None, "starts = 'an array ()': must be finite numbers"),
+        (3, "starts = 'an array ()': must be finite numbers"),
+        (np.zeros((2, 2)), "starts = 'an array (2, 2)': must be finite numbers of shape (episodes, 2, 2)"),
+        (np.zeros((1, 3, 2)), "starts = 'an array (1, 3, 2)': must be finite numbers of shape (episodes, 2, 2)"),
+        (np.zeros((0, 2, 2)), "starts = 'an array (0, 2, 2)': must be finite numbers"),
+        ([[[0, 0], [np.nan, 0]]], "starts = 'numbers that are not finite': must be finite"),
+        ([[[0, 0]], [[1, 0], [2, 0]]], "starts = [[[0, 0]], [[1, 0], [2, 0]]]: must be finite numbers"),
+    ],
+)
+def test_starts_that_are_none_are_refused(starts, line):
+    with pytest.raises(InputError) as caught:
+        Cascade((approach(5),), world(), RULE).rollout(starts)
+    assert str(caught.value).startswith(line)
+
+
+@pytest.mark.parametrize("seed", [None, "x", 1.5, -1, 2**32, True])
+def test_seeds_that_are_none_are_refused(seed):
+    with pytest.raises(InputError, match=r"^seed = .*: must be an integer >= 0 and <= 4294967295$"):
+        Cascade((approach(5),), world(), RULE).rollout(np.zeros((1, 2, 2)), seed)
 
 
 def test_a_restless_policy_is_cut_off_and_the_next_takes_over():

@@ -126,7 +126,7 @@ def test_a_baseline_that_is_none_is_refused(name, reason):
 def test_the_seed_reaches_the_scheduler_and_the_frames(setting, monkeypatch):
     seeds = []
     rollout = Cascade.rollout
-    monkeypatch.setattr(Cascade, "rollout", lambda *args, seed: seeds.append(seed) or rollout(*args, seed=seed))
+    monkeypatch.setattr(Cascade, "rollout", lambda *args: seeds.append(args[2]) or rollout(*args))
     monkeypatch.setattr(comparison, "MAX_PAIRS", 8 * 3**2)
     for seed in (0, 1):
         condition = Condition("centroid", "visible", "ssync", 3)

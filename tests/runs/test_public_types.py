@@ -6,9 +6,14 @@ import typing
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 import murmurate
+from murmurate import analysis, discovery, plots, world
 from murmurate.errors import InputError
+from murmurate.interop import waypoints
+from murmurate.runs import catalogues, comparison, folder, sweep, train
+from murmurate.runs.grid import Grid
 
 pytestmark = pytest.mark.unchecked
 
@@ -51,6 +56,64 @@ def test_paths_and_experiments(value, run, tmp_path, monkeypatch):
     for name in ("objective", "sensing", "scheduler"):
         refused(name, murmurate.pretrained, **{name: value})
     assert not any(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("value", WRONG)
+def test_folders_and_files(value, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    experiment = murmurate.experiment("C")
+    refused("folder", folder.RunFolder, value)
+    refused("folder", plots.Recording.open, value)
+    refused("folder", waypoints.Waypoints.from_run, value, 1.0)
+    refused("folder", comparison.load, value)
+    refused("folder", comparison.compare, comparison.Comparison(experiment), [], {}, value)
+    refused("folder", catalogues.read_findings, value)
+    refused("folder", catalogues.check_target, value)
+    refused("folder", train.discover, experiment, value)
+    refused("out", sweep.sweep, Grid({"a": experiment}), value)
+    refused("path", Grid.from_toml, value)
+    refused("path", plots.save, Figure(), value)
+    refused("path", world.read_starts, value, 3)
+    assert not any(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("value", [*WRONG, np.zeros(3)])
+def test_what_is_drawn_and_measured(value, run):
+    config, starts = run.experiment.world, np.zeros((1, 3, 2))
+    for figure in (plots.discovery_figure, plots.formation_figure, plots.training_figure, plots.reward_figure):
+        refused("recording", figure, value)
+    refused("recording", plots.animate, value, "x.gif")
+    refused("figure", plots.save, value, "x.png")
+    refused("experiment", plots.Recording, value, value)
+    refused("trajectories", plots.Recording, run.experiment, value)
+    refused("recordings", plots.patterns_figure, [value], ["a"])
+    refused("rows", plots.comparison_figure, [3, value])
+    refused("patterns", plots.plate_figure, [value], "")
+    refused("positions", plots.PlatePattern, value, 1.0, 9.0, "")
+    refused("trajectories", murmurate.check_validity, value, config)
+    refused("findings", analysis.Catalogue.from_findings, [value])
+    refused("positions", world.Configuration, value, config)
+    refused("positions", murmurate.Configuration, np.zeros((1, 3, 2)), config)
+    refused("world", world.Configuration, np.zeros((3, 2)), value)
+    refused("config", murmurate.World.create, value, world.UniformStart())
+    refused("start", murmurate.World.create, config, value)
+    refused("start", world.draw_starts, value, 0, 1, config)
+    refused("start", world.check_start, value, config)
+    refused("world", world.scaled_to, value, 3)
+    refused("objective", world.objective_signals, value)
+    refused("problem", discovery.build_cascade, value, ())
+    refused("problem", discovery.Search, value)
+    refused("cascade", discovery.rollout, value, starts)
+    refused("starts", discovery.rollout, run.cascade, value)
+    refused("start", discovery.bound_steps, value, starts[0], 1.0)
+    refused("starts", run.cascade.rollout, value)
+
+
+@pytest.mark.parametrize("value", ["x", 3, [1]])
+def test_functions(value, run):
+    refused("on_chunk", run.rollout, 2, 0, value)
+    refused("on_chunk", run.cascade.rollout, np.zeros((1, 3, 2)), 0, value)
+    refused("on_progress", murmurate.evaluate, run, on_progress=value)
 
 
 @pytest.mark.parametrize("value", ["4", None, [1], True, 1j, object(), {}])

@@ -139,6 +139,40 @@ def test_locks_and_logs_are_no_links(strange, outside, name):
         pass
 
 
+def test_a_backup_of_hard_links_is_read_and_writing_changes_none_of_its_files(strange, tmp_path):
+    from murmurate.runs import worker
+
+    (strange.path / worker.LOG).write_text("a log")
+    (strange.path / ".training.lock").write_text("")
+    backup = RunFolder(shutil.copytree(strange.path, tmp_path / "backup", copy_function=os.link))
+    before = {path: path.read_bytes() for path in sorted(backup.path.rglob("*")) if path.is_file()}
+    assert all(path.stat().st_nlink == 2 for path in before)
+    run = Run.open(backup.path)
+    assert backup.evaluation() == strange.evaluation()
+    assert backup.metrics() == strange.metrics()
+
+    with strange.lock():
+        strange.append_metrics([{"policy": 0}])
+        assert files.read_rows(strange.path / "metrics.jsonl")[0] == [*backup.metrics(), {"policy": 0}]
+        strange.truncate_metrics(1)
+    strange.unfinish()
+    strange.write_experiment(run.experiment)
+    strange.write_policies(run.cascade.policies)
+    strange.write_manifest(run.manifest, len(run.cascade.policies))
+    assert worker.work(json.dumps({"class": "json:none", "folder": str(strange.path)}))
+    assert main(["evaluate", str(strange.path), "--episodes", "4", "--quiet"]) == 0
+    assert {path: path.read_bytes() for path in before} == before
+    assert backup.is_whole()
+
+    # A stranger's metrics may be a hard link to any file of the user's: it is no metrics, and stays as it is.
+    mine = tmp_path / "mine.txt"
+    mine.write_text("mine\n")
+    (strange.path / "metrics.jsonl").unlink()
+    os.link(mine, strange.path / "metrics.jsonl")
+    strange.append_metrics([{"policy": 0}])
+    assert mine.read_text() == "mine\n"
+
+
 def test_folders_of_a_sweep_or_comparison_are_no_links(strange, tmp_path):
     grid = Grid({"run": tiny()})
     (tmp_path / "out").mkdir()

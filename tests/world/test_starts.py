@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import signal
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -29,6 +31,8 @@ from murmurate.world import (
     read_starts,
     redraw_overlaps,
     scaled_to,
+    starts,
+    with_array_leaves,
 )
 from murmurate.world.starts import symmetric_layout
 
@@ -122,6 +126,27 @@ def test_a_configuration_that_got_stuck_is_drawn_anew():
     world = WorldConfig(robots=30, half_width=13.0, half_height=13.0)
     positions = draw(ScatteredStart().prepare(world), jax.random.key(1), 512, world)
     assert_clean(np.asarray(positions), world)
+
+
+def test_redraws_are_interrupted_between_parts_and_come_out_as_in_one(monkeypatch):
+    world = with_array_leaves(WorldConfig(robots=24, half_width=6.0, half_height=6.0))
+    whole = starts._draw(UniformStart(), jax.random.key(1), 24, world)
+    assert_clean(np.moveaxis(np.asarray(whole), 0, -1), world)
+    monkeypatch.setattr(starts, "PART_PAIRS", 1)
+    begun, draw_part = [], starts._draw_part
+    monkeypatch.setattr(starts, "_draw_part", lambda *args: begun.append(int(args[-1])) or draw_part(*args))
+    np.testing.assert_array_equal(draw_starts(UniformStart(), jax.random.key(1), 24, world), whole)
+    assert len(begun) > 2
+    assert begun == list(range(0, 50 * len(begun), 50))
+
+    def interrupted(*args):
+        if args[-1] > 0:
+            signal.raise_signal(signal.SIGINT)
+        return draw_part(*args)
+
+    monkeypatch.setattr(starts, "_draw_part", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        draw_starts(UniformStart(), jax.random.key(1), 24, world)
 
 
 def test_noise_is_uniform_within_its_bounds():

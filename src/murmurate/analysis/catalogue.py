@@ -22,7 +22,7 @@ from jaxtyping import Float
 
 from murmurate.analysis.measures import nearest_distances, visibility_margin
 from murmurate.analysis.symmetry import SYMMETRY_TOLERANCE, Symmetry, symmetry
-from murmurate.errors import MAX_INTEGER, MAX_MAGNITUDE, InputError, check_choice, check_number
+from murmurate.errors import MAX_INTEGER, MAX_MAGNITUDE, InputError, check_all, check_choice, check_number, check_type
 from murmurate.geometry.hull import convex_layers
 from murmurate.geometry.similarity import (
     configuration,
@@ -243,6 +243,8 @@ class Catalogue:
             tolerance = TOLERANCE
         check_number("tolerance", tolerance, 0, MAX_MAGNITUDE, exclusive_low=True)
         check_number("symmetry_tolerance", symmetry_tolerance, 0, MAX_MAGNITUDE, exclusive_low=True)
+        findings = list(findings) if isinstance(findings, Iterable) else findings
+        check_all("findings", findings, Finding, "findings, such as runs.catalogues.read_findings(folder)")
         unique = _unique(findings)
         _check_comparable(unique, scaling)
         classes = tuple(
@@ -293,7 +295,9 @@ def unmatched(
     Returns:
         The classes that have no match, best first.
     """
-    others, scaling, limit = list(configurations), catalogue.scaling, catalogue.tolerance
+    check_type("catalogue", catalogue, Catalogue, "a catalogue")
+    check_type("configurations", configurations, Iterable, "configurations, each (robots, 2)")
+    others, scaling, limit = list(map(configuration, configurations)), catalogue.scaling, catalogue.tolerance
 
     def matched(pattern: PatternClass) -> bool:
         positions = pattern.representative.positions

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from argparse import Namespace
 from collections.abc import Sequence
 from dataclasses import replace
@@ -14,7 +13,6 @@ from murmurate.errors import UsageError, check_choice
 
 if TYPE_CHECKING:
     from murmurate.plots import Recording
-    from murmurate.runs.run import Run
 
 __all__ = ["run"]
 
@@ -35,9 +33,6 @@ EPISODES = 32
 
 MAX_PAIRS = 2**18
 """Pairs of robots in all of these episodes together, at most."""
-
-LARGE = 64
-"""Robots beyond which a step is timed first, to say how long the episodes will take."""
 
 
 def run(argv: Sequence[str]) -> int:
@@ -100,8 +95,6 @@ def _form_patterns(
         RunFolder(folder).inspect()  # before patterns are formed
     episodes = max(1, min(EPISODES, MAX_PAIRS // robots**2))
     with Progress(quiet=options.quiet) as progress:
-        if robots > LARGE and not options.quiet:
-            progress.update("episodes executed", 0, episodes, note=_duration(run, episodes))
         evaluation = evaluate(run, episodes, seed, on_progress=progress.update)
     valid = int(evaluation.validity.valid.sum())
     starts = "1 start" if episodes == 1 else f"{episodes} starts"
@@ -113,31 +106,6 @@ def _form_patterns(
     evaluation.save(folder)
     print(summary)
     return _draw(plots.Recording.open(folder), RunFolder(folder).figures, options)
-
-
-def _duration(run: Run, episodes: int) -> str:
-    """Returns how long so many episodes will take, in words, by the time of some steps."""
-    from murmurate.discovery.cascade import CHUNK
-
-    experiment = run.experiment
-    # Cut off after one step, a rollout still executes a whole chunk.
-    short = run.under(replace(experiment, rest=replace(experiment.rest, max_steps=1)))
-    short.rollout(episodes)  # compiles
-    begun = time.perf_counter()
-    short.rollout(episodes)
-    seconds = (time.perf_counter() - begun) / CHUNK
-    # From anywhere, robots come from half of the world's side away, and then must be seen to rest.
-    world, window = experiment.world, experiment.rest_in_steps.window
-    steps = experiment.scheduler.period * world.half_width / world.max_speed + window
-    return f"about {steps:,.0f} steps of {seconds:.2g} s: {_words(steps * seconds)}"
-
-
-def _words(seconds: float) -> str:
-    """Writes a time in its natural unit."""
-    for unit, name in ((3600, "hours"), (60, "minutes")):
-        if seconds >= 2 * unit:
-            return f"{seconds / unit:.0f} {name}"
-    return f"{seconds:.0f} seconds"
 
 
 def _draw(recording: Recording, out: Path, options: Namespace) -> int:

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from murmurate import prng
 from murmurate.discovery.cascade import Cascade
-from murmurate.discovery.problem import Problem
+from murmurate.discovery.problem import Problem, check_problem
 from murmurate.errors import InputError
 from murmurate.policies import ShieldWrapper
 from murmurate.registry import Strategy
@@ -44,6 +44,7 @@ def build_world(problem: Problem, start: Start | None = None) -> World:
     Raises:
         InputError: The start is not possible in this world.
     """
+    check_problem(problem)
     start = check_start(problem.start, problem.world) if start is None else start
     return with_array_leaves(World.create(problem.world, start, problem.objective_signals))
 
@@ -57,6 +58,7 @@ def build_environment(problem: Problem, world: World, perceived: WorldConfig | N
         perceived: The sizes by which robots perceive the world and shields act: in training with a margin, those of the
             world without it.
     """
+    check_problem(problem)
     perceived = world.config if perceived is None else perceived
     env: World | Wrapper = world
     if not problem.scheduler.is_trivial:
@@ -70,6 +72,7 @@ def build_environment(problem: Problem, world: World, perceived: WorldConfig | N
 
 def build_networks(problem: Problem, key: PRNGKeyArray) -> tuple[Any, Any]:
     """Builds fresh policy and value networks."""
+    check_problem(problem)
     networks = _networks(problem.policy, problem.world, problem.landmark, key)
     # An array made of a Python number is weakly typed: training would compile once more at its second chunk.
     return jax.tree.map(lambda x: jnp.asarray(x, x.dtype) if eqx.is_array(x) else x, networks)
@@ -83,6 +86,7 @@ def build_cascade(problem: Problem, policies: Sequence[Any], world: World | None
         policies: The policy networks.
         world: The world of `build_world`, where it is built already.
     """
+    check_problem(problem)
     world = build_world(problem) if world is None else world
     return Cascade(tuple(policies), build_environment(problem, world), problem.rest_in_steps)
 
@@ -90,6 +94,7 @@ def build_cascade(problem: Problem, policies: Sequence[Any], world: World | None
 @prng.reproducible()
 def policy_templates(problem: Problem, count: int) -> tuple[Any, ...]:
     """Returns `count` policy networks without numbers, to load weights into."""
+    check_problem(problem)
     key = jax.eval_shape(lambda: prng.key(0))
     template, _ = eqx.filter_eval_shape(_networks, problem.policy, problem.world, problem.landmark, key)
     return (template,) * count
@@ -102,6 +107,7 @@ def check_parts(problem: Problem) -> None:
         InputError: One cannot be evaluated, returns another shape or type, or numbers that are not finite; or
             exploration is scheduled for a policy without a spread to schedule.
     """
+    check_problem(problem)
     world = build_world(problem)
     robots, batch = problem.world.robots, 2
     positions = jnp.moveaxis(jnp.asarray(draw_starts(world.start, prng.key(problem.seed), batch, world.config)), 0, -1)

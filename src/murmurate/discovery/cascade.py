@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,14 +13,17 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from murmurate import prng
-from murmurate.errors import MAX_INTEGER, MAX_MAGNITUDE, check_number
+from murmurate.errors import MAX_INTEGER, MAX_MAGNITUDE, InputError, check_function, check_number
 from murmurate.types import Trajectories
-from murmurate.world import World, Wrapper
+from murmurate.world import World, Wrapper, checked_starts
 
 __all__ = ["Cascade", "RestRule", "tile_episodes"]
 
 CHUNK = 50
-"""Steps between two checks whether every episode has ended."""
+"""Steps between two checks whether every episode has ended, at most."""
+
+CHUNK_TRIPLES = 1 << 28
+"""Triples of robots in all steps of a chunk of two or more, about: they take seconds, and nothing interrupts them."""
 
 TILE_PAIRS = 1 << 13
 """Pairs of robots in the episodes that are executed at once: what is computed of each pair fits in a core's cache."""
@@ -105,30 +108,59 @@ class Cascade(eqx.Module):
         return self.env.unwrapped if isinstance(self.env, Wrapper) else self.env
 
     @prng.reproducible()
-    def rollout(self, starts: Float[np.ndarray, "episodes robots 2"], seed: int = 0) -> Trajectories:
+    def rollout(
+        self,
+        starts: Float[np.ndarray, "episodes robots 2"],
+        seed: int = 0,
+        on_chunk: Callable[[int, int, int], None] | None = None,
+    ) -> Trajectories:
         """Executes the cascade from the given configurations, always with the most likely action.
+
+        Episodes are executed in batches of a fixed size, one after another: see `tile_episodes`.
 
         Args:
             starts: One configuration for each episode.
             seed: Seed of the robots' frames, of noise and of the scheduler, where there are any.
+            on_chunk: Called as `on_chunk(steps, max_steps, ended)` after every chunk of steps: those executed, of all
+                batches together, those after which the last episode is cut off, and how many episodes have ended.
 
         Returns:
             What happened, until the last episode ended.
+
+        Raises:
+            InputError: The starts have another shape, or the seed is none.
         """
+        starts = checked_starts("starts", starts, self.world.config.robots)
+        if not np.isfinite(starts).all():
+            raise InputError("starts", "numbers that are not finite", "finite")
+        check_number("seed", seed, 0, prng.MAX_SEED, integer=True)
+        check_function("on_chunk", on_chunk, "on_chunk(steps, max_steps, ended)")
         starts = np.asarray(starts, np.float32)
-        size = tile_episodes(starts.shape[1])
-        keys = np.asarray(_episode_key_data(jnp.asarray(seed, jnp.uint32), len(starts)))
-        tiles = [
-            self._execute_tile(starts[first : first + size], keys[first : first + size], size)
-            for first in range(0, len(starts), size)
-        ]
+        episodes, size = len(starts), tile_episodes(starts.shape[1])
+        keys = np.asarray(_episode_key_data(jnp.asarray(seed, jnp.uint32), episodes))
+        firsts = range(0, episodes, size)
+        max_steps = self.rest.max_steps * len(self.policies) * len(firsts)
+        tiles: list[Trajectories] = []
+
+        def report(steps: int, ended: int) -> None:
+            if on_chunk is not None:
+                before = sum(int(tile.lengths.max()) for tile in tiles)
+                on_chunk(before + steps, max_steps, len(tiles) * size + ended)
+
+        for first in firsts:
+            part = slice(first, first + size)
+            tiles.append(self._execute_tile(starts[part], keys[part], size, report))
         return _concatenated(tiles)
 
     def _execute_tile(
-        self, starts: Float[np.ndarray, "episodes robots 2"], keys: UInt32[np.ndarray, "episodes two"], size: int
+        self,
+        starts: Float[np.ndarray, "episodes robots 2"],
+        keys: UInt32[np.ndarray, "episodes two"],
+        size: int,
+        report: Callable[[int, int], None],
     ) -> Trajectories:
         """Executes few episodes as part of a batch of a fixed size, which copies of the first one fill."""
-        episodes = len(starts)
+        episodes, robots, _ = starts.shape
         chosen = np.where(np.arange(size) < episodes, np.arange(size), 0)
         # Committed to its device, as the weights of a training are and all that is computed with them: otherwise the
         # second chunk would be another program than the first.
@@ -136,12 +168,16 @@ class Cascade(eqx.Module):
         positions = jax.device_put(positions, positions.sharding)
         status, first = _begin(self, positions, jnp.asarray(keys[chosen]), jnp.asarray(episodes, jnp.int32))
         parts = [jax.device_get(first)]
-        while bool(jnp.any(status.moving())):
-            status, part = _advance(self, status)
+        chunk = max(2, min(CHUNK, CHUNK_TRIPLES // (size * robots**3)))
+        moving = episodes
+        while moving:
+            status, part = _advance(self, status, chunk)
             parts.append(jax.device_get(part))
+            moving = int(np.count_nonzero(status.moving()))
+            report(int(status.length.max()), episodes - moving)
         lengths = np.asarray(status.length)[:episodes]
-        steps = int(lengths.max()) + 1
-        positions, signals = jax.tree.map(lambda *parts: np.concatenate(parts)[:steps, ..., :episodes], *parts)
+        recorded = int(lengths.max()) + 1
+        positions, signals = jax.tree.map(lambda *parts: np.concatenate(parts)[:recorded, ..., :episodes], *parts)
         return Trajectories(
             positions=np.ascontiguousarray(np.moveaxis(positions, -1, 0)),
             lengths=lengths.astype(np.int32),
@@ -215,8 +251,8 @@ def _begin(
 
 
 @eqx.filter_jit
-def _advance(cascade: Cascade, status: _Status) -> tuple[_Status, tuple[Array, dict[str, Array]]]:
-    return jax.lax.scan(lambda status, _: _step(cascade, status), status, None, length=CHUNK)
+def _advance(cascade: Cascade, status: _Status, steps: int) -> tuple[_Status, tuple[Array, dict[str, Array]]]:
+    return jax.lax.scan(lambda status, _: _step(cascade, status), status, None, length=steps)
 
 
 def _step(cascade: Cascade, status: _Status) -> tuple[_Status, tuple[Array, dict[str, Array]]]:

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from murmurate.discovery.problem import Problem
+from murmurate.discovery.problem import Problem, check_problem
 
 __all__ = ["Curriculum"]
 
@@ -24,6 +24,7 @@ class Curriculum:
     """
 
     def __init__(self, problem: Problem) -> None:
+        check_problem(problem)
         self.problem = problem
 
     @cached_property

@@ -6,6 +6,7 @@ finger. Whatever holds a number for each pair of robots, or each step of an epis
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -14,9 +15,9 @@ from jaxtyping import Float
 from murmurate.discovery.cascade import Cascade
 from murmurate.discovery.problem import Problem
 from murmurate.discovery.stage import policy_name
-from murmurate.errors import InputError, RunError
+from murmurate.errors import InputError, RunError, check_type
 from murmurate.types import Trajectories
-from murmurate.world import check_pairs
+from murmurate.world import check_pairs, checked_starts
 
 __all__ = ["MAX_RECORD_BYTES", "MAX_REST_STEPS", "check_training", "rollout"]
 
@@ -48,7 +49,12 @@ def check_training(problem: Problem) -> None:
     check_pairs("discovery.episodes", problem.discovery.episodes, robots)
 
 
-def rollout(cascade: Cascade, starts: Float[np.ndarray, "episodes robots 2"], seed: int = 0) -> Trajectories:
+def rollout(
+    cascade: Cascade,
+    starts: Float[np.ndarray, "episodes robots 2"],
+    seed: int = 0,
+    on_chunk: Callable[[int, int, int], None] | None = None,
+) -> Trajectories:
     """Executes a cascade as `Cascade.rollout` does, as long as the record of it fits in memory.
 
     Most episodes come to rest long before they would be cut off. So it is not refused for what it might take: where
@@ -58,12 +64,15 @@ def rollout(cascade: Cascade, starts: Float[np.ndarray, "episodes robots 2"], se
         cascade: The cascade.
         starts: One configuration for each episode.
         seed: See `Cascade.rollout`.
+        on_chunk: See `Cascade.rollout`.
 
     Raises:
         InputError: So many episodes of so many robots do not fit at once.
         RunError: An episode went on until memory was full.
     """
-    episodes, robots = starts.shape[:2]
+    check_type("cascade", cascade, Cascade, "a cascade, such as run.cascade")
+    starts = checked_starts("starts", starts, cascade.world.config.robots)
+    episodes, robots, _ = starts.shape
     check_pairs("episodes", episodes, robots)
     rest, policies = cascade.rest, len(cascade.policies)
     if rest.window > MAX_RECORD_BYTES // (4 * episodes):
@@ -71,9 +80,9 @@ def rollout(cascade: Cascade, starts: Float[np.ndarray, "episodes robots 2"], se
         raise InputError("rest.window", rest.window, allowed)
     most = max(MAX_RECORD_BYTES // (starts.size * 4 * policies), 1)
     if rest.max_steps <= most:
-        return cascade.rollout(starts, seed=seed)
+        return cascade.rollout(starts, seed, on_chunk)
     capped = Cascade(cascade.policies, cascade.env, replace(rest, max_steps=most))
-    trajectories = capped.rollout(starts, seed=seed)
+    trajectories = capped.rollout(starts, seed, on_chunk)
     if (~trajectories.at_rest & ~trajectories.terminated).any():
         raise RunError(
             f"{episodes} episodes of {robots} robots did not come to rest in {most} steps, more than memory holds: try "

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
-from murmurate.discovery.cascade import RestRule
-from murmurate.errors import MAX_INTEGER, MAX_MAGNITUDE, InputError, check_number
+from murmurate.discovery.cascade import RestRule, tile_episodes
+from murmurate.errors import MAX_INTEGER, MAX_MAGNITUDE, InputError, check_number, check_type
 from murmurate.learning import PPOConfig
 from murmurate.policies import NoShield, Policy, Shield
 from murmurate.world import (
@@ -109,6 +109,15 @@ class DiscoveryConfig:
         check_number("required_valid", self.required_valid, 0, 1)
 
 
+def check_problem(problem: object) -> None:
+    """Checks an argument that says what is to be discovered.
+
+    Raises:
+        InputError: It is something else.
+    """
+    check_type("problem", problem, Problem, "an experiment, such as run.experiment")
+
+
 @dataclass(frozen=True)
 class Problem:
     """What is to be discovered, and how: an experiment without its name.
@@ -203,6 +212,17 @@ class Problem:
             max_steps=math.ceil(rest.max_steps * factor),
         )
         return replace(self, world=world, rest=rest, sizes=())
+
+    def usual_steps(self, policies: int, episodes: int) -> float:
+        """Returns about how many steps a list of policies takes: from half of the world's side away, and until rest.
+
+        Args:
+            policies: Length of the list.
+            episodes: How many episodes, in batches that are executed one after another.
+        """
+        batches = -(-episodes // tile_episodes(self.world.robots))
+        steps = self.world.half_width / self.world.max_speed
+        return batches * self.scheduler.period * (steps + policies * self.rest.window)
 
     @property
     def rest_in_steps(self) -> RestRule:

@@ -13,10 +13,11 @@ from jaxtyping import Bool, Float
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import maximum_bipartite_matching
 
-from murmurate.errors import InputError
+from murmurate.errors import InputError, check_number, check_type
 from murmurate.geometry import _batch_last
+from murmurate.geometry._checks import check_vectors
 from murmurate.types import Trajectories
-from murmurate.world import Configuration, Signal, WorldConfig
+from murmurate.world import Configuration, Signal, WorldConfig, check_world
 
 __all__ = ["Validity", "bound_steps", "check_validity"]
 
@@ -65,6 +66,8 @@ def check_validity(
     Raises:
         InputError: The episodes are those of another number of robots, or not of one shape.
     """
+    check_type("trajectories", trajectories, Trajectories, "trajectories, such as run.rollout(20)")
+    check_world(world)
     _check(trajectories, world)
     final = np.moveaxis(trajectories.final.astype(float), 0, -1)
     others = ~np.eye(world.robots, dtype=bool)
@@ -120,8 +123,15 @@ def bound_steps(start: Float[np.ndarray, "robots 2"], final: Float[np.ndarray, "
 
     Returns:
         Steps, not rounded.
+
+    Raises:
+        InputError: The configurations are not of one shape, or the speed is no number > 0.
     """
-    cost = np.abs(start.astype(float)[:, None] - final.astype(float)[None]).max(axis=2)
+    start, final = (np.asarray(check_vectors(*pair)[1], float) for pair in (("start", start), ("final", final)))
+    if start.ndim != 2 or final.shape != start.shape:
+        raise InputError("final", final.shape, f"of the shape of the start, (robots, 2), which is {start.shape}")
+    check_number("max_speed", max_speed, 0, exclusive_low=True)
+    cost = np.abs(start[:, None] - final[None]).max(axis=2)
     values = np.unique(cost)
     low, high = 0, len(values) - 1
     while low < high:

@@ -17,7 +17,7 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float
 
-from murmurate.errors import MAX_MAGNITUDE, InputError, RunError, check_number
+from murmurate.errors import MAX_MAGNITUDE, InputError, RunError, check_number, check_path
 from murmurate.geometry import any_outside, closest_approach
 from murmurate.runs import files
 from murmurate.runs.experiment import ExperimentConfig
@@ -157,6 +157,7 @@ class Waypoints:
         Raises:
             RunError: The file cannot be written.
         """
+        check_path("path", path)
         files.write_text(path, self.as_csv() if kind == "csv" else files.to_json(self.as_dict()) + "\n")
 
     def about(self) -> dict[str, Any]:

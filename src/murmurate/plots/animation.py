@@ -20,8 +20,8 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from PIL import Image
 
-from murmurate.errors import InputError
-from murmurate.plots.recording import Episode, Recording
+from murmurate.errors import InputError, check_number, check_path
+from murmurate.plots.recording import Episode, Recording, check_recording
 from murmurate.plots.style import quantize, write_file
 from murmurate.plots.swarm import NIGHT, SwarmArtist, draw_world, path_segments, sight_pairs
 from murmurate.world import WorldConfig
@@ -57,8 +57,8 @@ def animate(recording: Recording, path: str | os.PathLike[str], episode: int | N
         InputError: No such episode, another suffix, a rate that players do not keep, or no `video` extra.
         RunError: The file cannot be written.
     """
-    if not 1 <= fps <= 50:
-        raise InputError("fps", fps, "from 1 to 50")
+    check_recording(recording)
+    check_number("fps", fps, 1, 50, integer=True)
     check_target(path)
     encode = {".gif": _gif, ".webp": _webp, ".mp4": _mp4}[Path(path).suffix.lower()]
     write_file(path, encode(_frames(recording, recording.episode(episode), fps), fps))
@@ -74,6 +74,7 @@ def check_target(path: str | os.PathLike[str], field: str = "path") -> None:
     Raises:
         InputError: The name has another suffix, or it is an .mp4 without the `video` extra.
     """
+    check_path(field, path)
     suffix = Path(path).suffix.lower()
     if suffix not in SUFFIXES:
         raise InputError(field, str(path), f"a name that ends in {', '.join(SUFFIXES)}")

@@ -15,8 +15,9 @@ from jaxtyping import Float
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
-from murmurate.errors import InputError, check_number
+from murmurate.errors import InputError, check_all, check_number
 from murmurate.geometry import on_hull
+from murmurate.geometry.similarity import configuration
 from murmurate.plots.style import INK, INSIDE, LEFT, MUTED, TEXT, WIDTH, add_axes, draw_head, new_page
 from murmurate.plots.swarm import NIGHT, SwarmArtist, sight_pairs
 from murmurate.world import WorldConfig
@@ -49,8 +50,8 @@ class PlatePattern:
     note: str = ""
 
     def __post_init__(self) -> None:
-        points = np.asarray(self.positions, dtype=float)
-        if points.ndim != 2 or points.shape[1:] != (2,) or len(points) < 2 or not np.isfinite(points).all():
+        points = configuration(self.positions)
+        if len(points) < 2:
             raise InputError("positions", points.shape, "finite numbers of shape (robots, 2), at least two robots")
         check_number("radius", self.radius, 0, exclusive_low=True)
 
@@ -88,6 +89,7 @@ def plate_figure(
     Raises:
         InputError: There are no patterns, or a plate cannot have so many columns.
     """
+    check_all("patterns", patterns, PlatePattern, "a list of PlatePattern")
     if not patterns:
         raise InputError("patterns", list(patterns), "at least one")
     columns = _best_columns(len(patterns)) if columns is None else columns

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from murmurate.discovery import check_validity, policy_name
-from murmurate.errors import InputError
+from murmurate.errors import check_number, check_type
 from murmurate.runs.experiment import ExperimentConfig
 from murmurate.runs.folder import RunFolder, describe_starts, is_fresh
 from murmurate.types import Trajectories
@@ -105,6 +105,10 @@ class Recording:
         starts = "" if is_fresh(summary) else describe_starts(summary)
         return cls(config, folder.trajectories(config), _curves(folder.metrics()), starts)
 
+    def __post_init__(self) -> None:
+        check_type("experiment", self.experiment, ExperimentConfig, "an experiment, such as run.experiment")
+        check_type("trajectories", self.trajectories, Trajectories, "trajectories, such as run.rollout(20)")
+
     def __repr__(self) -> str:
         return f"Recording({self.experiment.name}: {self.trajectories!r})"
 
@@ -156,8 +160,7 @@ class Recording:
         """
         lengths = self.trajectories.lengths
         index = self.typical() if index is None else index
-        if not 0 <= index < len(lengths):
-            raise InputError("episode", index, f"an integer from 0 to {len(lengths) - 1}")
+        check_number("episode", index, 0, len(lengths) - 1, integer=True)
         length = int(lengths[index])
         # A policy that never took over has no step: its switch falls on the end.
         switches = np.maximum.accumulate(np.clip(self.trajectories.switch[index], 0, length))
@@ -167,6 +170,15 @@ class Recording:
             signals={name: values[index, : length + 1] for name, values in self.trajectories.signals.items()},
             at_rest=bool(self.trajectories.at_rest[index]),
         )
+
+
+def check_recording(recording: object) -> None:
+    """Checks what a figure is drawn from.
+
+    Raises:
+        InputError: It is no recording.
+    """
+    check_type("recording", recording, Recording, "a recording, such as plots.Recording.open(folder)")
 
 
 def _curves(rows: Iterable[Mapping[str, Any]]) -> list[TrainingCurve]:

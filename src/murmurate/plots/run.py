@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
-from murmurate.plots.recording import Episode, Recording
+from murmurate.plots.recording import Episode, Recording, check_recording
 from murmurate.plots.style import (
     INK,
     LEFT,
@@ -80,6 +80,7 @@ def discovery_figure(recording: Recording, episode: int | None = None) -> Figure
     Raises:
         InputError: There is no such episode.
     """
+    check_recording(recording)
     shown = recording.episode(episode)
     figure = new_page(6.95)
     _draw_head(figure, recording)
@@ -102,6 +103,7 @@ def formation_figure(recording: Recording, episode: int | None = None) -> Figure
     Raises:
         InputError: There is no such episode.
     """
+    check_recording(recording)
     shown = recording.episode(episode)
     figure = new_page(4.2)
     _draw_head(figure, recording)
@@ -115,6 +117,7 @@ def training_figure(recording: Recording) -> Figure:
     Returns:
         A figure 10 inches wide.
     """
+    check_recording(recording)
     figure = new_page(4.1)
     _draw_head(figure, recording)
     _draw_training(add_axes(figure, LEFT + 0.55, 0.5, 4.1, 2.55), recording)
@@ -146,6 +149,7 @@ def reward_figure(recording: Recording, episode: int | None = None) -> Figure:
     Raises:
         InputError: There is no such episode.
     """
+    check_recording(recording)
     shown = recording.episode(episode)
     figure = new_page(4.75)
     _draw_head(figure, recording)

@@ -17,7 +17,7 @@ from matplotlib.ticker import MaxNLocator
 from matplotlib.transforms import ScaledTranslation
 
 from murmurate.analysis.measures import fit_line
-from murmurate.errors import InputError, check_number
+from murmurate.errors import InputError, check_all, check_number, check_type
 from murmurate.plots.recording import Recording
 from murmurate.plots.run import describe_goal, describe_sight, describe_swarm, draw_pattern, pattern_window
 from murmurate.plots.style import (
@@ -61,6 +61,8 @@ def patterns_figure(
     Raises:
         InputError: There are no runs, or not as many labels as runs.
     """
+    check_all("recordings", recordings, Recording, "a list of recordings, such as plots.Recording.open(folder)")
+    check_type("labels", labels, Sequence, "a list of names")
     if not recordings or len(recordings) != len(labels):
         raise InputError("labels", list(labels), f"one for each of at least one run (runs: {len(recordings)})")
     rows = 1 if len(recordings) <= 3 else 2
@@ -201,6 +203,8 @@ def growth_figure(growths: Sequence[Growth], paper: Sequence[PaperPoint] = ()) -
 
 
 def _check_growths(growths: Sequence[Growth], paper: Sequence[PaperPoint]) -> None:
+    check_all("growths", growths, Growth, "a list of Growth")
+    check_all("paper", paper, PaperPoint, "a list of PaperPoint")
     if not growths:
         raise InputError("growths", list(growths), "at least one")
     for growth in growths:
@@ -307,6 +311,7 @@ def comparison_figure(rows: Sequence[Row]) -> Figure:
     Raises:
         InputError: There is no row.
     """
+    check_all("rows", rows, Mapping, "a list of rows, such as runs.comparison.sorted_rows(folder)")
     if not rows:
         raise InputError("rows", list(rows), "at least one")
     sizes = {panel: {row["robots"] for row in rows if _condition(row) == panel} for panel in map(_condition, rows)}
@@ -351,6 +356,7 @@ def failures_figure(rows: Sequence[Row], worlds: Mapping[int, WorldConfig]) -> F
     Raises:
         InputError: There is no row.
     """
+    check_all("rows", rows, Mapping, "a list of rows, such as runs.comparison.sorted_rows(folder)")
     if not rows:
         raise InputError("rows", list(rows), "at least one")
     failures = [(row, failure) for row in rows for failure in row["worst"]]

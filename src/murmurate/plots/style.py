@@ -20,7 +20,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from PIL import Image
 
-from murmurate.errors import InputError
+from murmurate.errors import InputError, check_number, check_path, check_type
 from murmurate.runs import files
 
 __all__ = [
@@ -176,9 +176,13 @@ def save(figure: Figure, path: str | os.PathLike[str], dpi: int = 180) -> None:
         InputError: The name does not end in .png.
         RunError: The file cannot be written.
     """
+    check_path("path", path)
     if Path(path).suffix.lower() != ".png":
         raise InputError("path", str(path), "a name that ends in .png")
     write_file(path, png(figure, dpi))
+
+
+MAX_DPI = 2400
 
 
 def write_file(path: str | os.PathLike[str], data: bytes) -> None:
@@ -193,6 +197,8 @@ def write_file(path: str | os.PathLike[str], data: bytes) -> None:
 
 def png(figure: Figure, dpi: int = 180) -> bytes:
     """Returns a figure as a PNG of few colours; the same figure gives the same bytes."""
+    check_type("figure", figure, Figure, "a figure, such as plots.discovery_figure(recording)")
+    check_number("dpi", dpi, 1, MAX_DPI)
     full, small = io.BytesIO(), io.BytesIO()
     figure.savefig(full, format="png", dpi=dpi, metadata={"Software": None}, edgecolor=figure.get_edgecolor())
     picture = quantize(np.asarray(Image.open(full).convert("RGB")), levels=8, frequent=150)

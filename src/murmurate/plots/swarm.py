@@ -19,8 +19,10 @@ from matplotlib.patches import Rectangle
 from matplotlib.transforms import blended_transform_factory
 
 from murmurate import geometry
+from murmurate.errors import check_type
+from murmurate.geometry.similarity import configuration
 from murmurate.plots.style import FAINT, INK, MUTED, NIGHT_POLICIES, POLICIES, ROBOT, SIGHT, WARNING
-from murmurate.world import WorldConfig
+from murmurate.world import WorldConfig, check_world
 
 __all__ = [
     "LIGHT",
@@ -136,6 +138,9 @@ class SwarmArtist:
             clear: Draw the sight lines of pairs that see each other.
             min_radius: Least radius of a disc, world units: large worlds would make discs too small to be seen.
         """
+        check_type("ax", ax, Axes, "axes of Matplotlib")
+        positions = configuration(positions)
+        check_world(world)
         self._world, self._look, self._clear = world, look, clear
         ax.set_aspect("equal")
         if gathering_point:

@@ -13,7 +13,7 @@ from typing import Any
 from murmurate.analysis import Catalogue, Finding
 from murmurate.analysis.optimum.best_known import best_known
 from murmurate.analysis.optimum.formation import Target
-from murmurate.errors import InputError, RunError
+from murmurate.errors import InputError, RunError, check_path
 from murmurate.runs import escape, files
 from murmurate.runs.evaluate import evaluated
 from murmurate.runs.folder import RunFolder, is_fresh, trained_checksums
@@ -34,6 +34,7 @@ def read_findings(folder: str | Path, trust: bool = False) -> tuple[Finding, ...
     Raises:
         RunError: It is missing or neither of them, or damaged, or of an unknown version.
     """
+    check_path("folder", folder)
     path = Path(folder) / CATALOGUE
     if path.is_file():
         try:
@@ -49,6 +50,7 @@ def check_target(folder: str | Path) -> None:
     Raises:
         RunError: The folder holds other files.
     """
+    check_path("folder", folder)
     if files.entries(folder) and not (Path(folder) / CATALOGUE).is_file():
         raise RunError(f"{folder} holds other files: choose another --out")
 
@@ -59,6 +61,7 @@ def write(catalogue: Catalogue, folder: str | Path) -> None:
     Raises:
         RunError: A file cannot be written.
     """
+    check_path("folder", folder)
     folder = Path(folder)
     files.make_folder(folder)
     files.write_json(folder / CATALOGUE, catalogue.to_dict())

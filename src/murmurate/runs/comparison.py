@@ -10,7 +10,7 @@ import hashlib
 import itertools
 import re
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, cast, get_args
@@ -23,12 +23,22 @@ from murmurate import prng
 from murmurate.analysis.optimum.best_known import best_known
 from murmurate.analysis.optimum.formation import Target
 from murmurate.discovery import Trajectories, bound_steps, build_cascade, check_validity, rollout
-from murmurate.errors import MAX_MAGNITUDE, InputError, RunError, check_choice, check_number, printable, shown
+from murmurate.errors import (
+    MAX_MAGNITUDE,
+    InputError,
+    RunError,
+    check_choice,
+    check_number,
+    check_path,
+    check_type,
+    printable,
+    shown,
+)
 from murmurate.geometry import neighbors_and_visible
 from murmurate.policies import LocalPolicy
 from murmurate.policies.baselines import Baseline
 from murmurate.registry import Importer
-from murmurate.runs import config_io, files
+from murmurate.runs import config_io, files, progress
 from murmurate.runs.evaluate import wilson
 from murmurate.runs.execute import Executor, InProcess, locked, run_jobs
 from murmurate.runs.experiment import ExperimentConfig, check_seed, make_importer
@@ -253,6 +263,8 @@ def compare(
     Raises:
         RunError: The folder holds another comparison, or cannot be written to, or a condition failed.
     """
+    check_type("comparison", comparison, Comparison, "a comparison")
+    check_path("folder", folder)
     folder = Path(folder)
     path, settings = folder / COMPARISON, _settings(comparison, runs)
     rows = _read_rows(path, settings) if path.exists() else {}
@@ -360,6 +372,7 @@ def load(folder: str | Path) -> dict[str, Any]:
     Raises:
         RunError: It is missing or damaged.
     """
+    check_path("folder", folder)
     path = files.inside(folder, COMPARISON)
     comparison = files.read_json_object(path)
     rows, commands = comparison.get("rows"), comparison.setdefault("commands", [])
@@ -497,11 +510,11 @@ def _evaluate(
 ) -> dict[str, Any]:
     """Runs a method under one condition, and returns its row of the table."""
     problem, parts, done = comparison.problem(condition), [], 0
-    for batch in _rollouts(comparison, problem, policies, condition.start):
+    report = on_progress or (lambda *_, **__: None)
+    for batch in _rollouts(comparison, problem, policies, condition.start, report):
         parts.append(_measure(problem, batch))
         done += len(batch.lengths)
-        if on_progress is not None:
-            on_progress("episodes", done, comparison.episodes)
+        report("episodes", done, comparison.episodes)
     joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     valid, count = joined["valid"], len(joined["valid"])
     known = best_known(Target(problem.world, problem.objective))
@@ -533,17 +546,24 @@ def _evaluate(
 
 
 def _rollouts(
-    comparison: Comparison, problem: ExperimentConfig, policies: tuple[Any, ...], start: str = RANDOM
+    comparison: Comparison,
+    problem: ExperimentConfig,
+    policies: tuple[Any, ...],
+    start: str = RANDOM,
+    report: Callable[..., None] = lambda *_, **__: None,
 ) -> Iterator[Trajectories]:
     """Executes a method from all starts, as many at a time as memory holds; every method from the same."""
     cascade = build_cascade(problem, policies)
     size = min(max(MAX_PAIRS // problem.world.robots**2, 8), comparison.episodes)
     drawn = cascade.world.start if start == RANDOM else SymmetricStart(cast(Any, start)).prepare(problem.world)
     key = jax.random.fold_in(jax.random.fold_in(prng.key(comparison.seed), _HELD_OUT), problem.world.robots)
+    usual_steps = problem.usual_steps(len(policies), size)
     for first in range(0, comparison.episodes, size):
         starts = draw_starts(drawn, jax.random.fold_in(key, first), size, problem.world)
         # Each batch of each seed has frames, noise and a scheduler of its own.
-        batch = rollout(cascade, starts, (comparison.seed * MAX_EPISODES + first) % 2**32)
+        seed = (comparison.seed * MAX_EPISODES + first) % 2**32
+        on_chunk = progress.on_chunk(report, "episodes", comparison.episodes, usual_steps, first)
+        batch = rollout(cascade, starts, seed, on_chunk)
         yield _first_episodes(batch, comparison.episodes - first)
 
 

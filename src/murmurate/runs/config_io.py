@@ -24,7 +24,7 @@ from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get
 import tomli_w
 
 from murmurate import untrusted
-from murmurate.errors import InputError, one_line, suggestion
+from murmurate.errors import InputError, check_path, one_line, suggestion
 from murmurate.registry import Importer, Strategy
 from murmurate.runs import files
 
@@ -273,6 +273,7 @@ def load_toml(path: str | Path, follow: bool = True) -> dict[str, Any]:
         InputError: The file is not valid TOML, or nests too deep; the message names the line.
         OSError: The file cannot be read, or is too large.
     """
+    check_path("path", path)
     try:
         text = untrusted.read(path, MAX_TOML_BYTES, follow).decode("utf-8-sig")
         # tomllib takes a time that grows with the square of the parts of a key.

@@ -15,7 +15,8 @@ from jaxtyping import Float
 from murmurate.analysis.optimum.best_known import BestKnown, best_known, is_record
 from murmurate.analysis.optimum.formation import Target
 from murmurate.discovery import Trajectories, Validity, bound_steps, check_validity
-from murmurate.errors import check_path, check_type
+from murmurate.errors import check_function, check_type
+from murmurate.runs import progress
 from murmurate.runs.experiment import ExperimentConfig
 from murmurate.runs.folder import RunFolder, describe_starts, is_fresh
 from murmurate.runs.presets import command
@@ -124,10 +125,7 @@ class Evaluation:
         Raises:
             RunError: A file cannot be written.
         """
-        if not isinstance(folder, RunFolder):
-            check_path("folder", folder)
-        record = self.record()
-        target = folder if isinstance(folder, RunFolder) else RunFolder(folder)
+        target, record = RunFolder(folder), self.record()
         target.write_evaluation(self.summary(), self.arrays(), None if record is None else record.to_dict())
 
     def __repr__(self) -> str:
@@ -159,15 +157,19 @@ def evaluate(
         seed: Seed of the starts, of the robots' frames, of noise and of the scheduler.
         starts: Configurations to begin at instead of fresh ones, world units.
         file: Name of the file that those are from, for the record.
-        on_progress: Called as `on_progress(work, done, total, **values)` before and after each part of the work.
+        on_progress: Called as `on_progress(work, done, total, **values)` before and after each part of the work, and
+            every few seconds while episodes are executed.
 
     Raises:
         InputError: A start has another shape, is in contact or lies outside the world.
     """
     check_type("run", run, Run, "a run, such as murmurate.load(folder)")
+    check_function("on_progress", on_progress, "on_progress(work, done, total, **values)")
     report, count = on_progress or (lambda *_, **__: None), episodes if starts is None else len(starts)
     report("episodes executed", 0, count)
-    trajectories = run.rollout(episodes if starts is None else starts, seed)
+    usual_steps = run.experiment.usual_steps(len(run.cascade.policies), count)
+    on_chunk = progress.on_chunk(report, "episodes executed", count, usual_steps)
+    trajectories = run.rollout(episodes if starts is None else starts, seed, on_chunk)
     report("episodes executed", count, count)
     experiment, first, final = run.experiment, trajectories.positions[:, 0], trajectories.final
     bound = [bound_steps(*ends, experiment.world.max_speed) for ends in zip(first, final, strict=True)]
@@ -197,6 +199,7 @@ def evaluated(run: RunFolder, trust: bool = False) -> dict[str, Any]:
     Raises:
         RunError: It is missing or damaged, or its positions are not those of the run.
     """
+    check_type("run", run, RunFolder, "the folder of a run, RunFolder(path)")
     run.verify()
     config, summary = run.experiment(trust), run.evaluation()
     # Nothing is claimed where no episode is valid: its positions may not even be finite, where a training diverged.

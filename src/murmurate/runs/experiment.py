@@ -9,10 +9,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from murmurate import untrusted
+from murmurate import prng, untrusted
 from murmurate.discovery import MAX_REST_STEPS, Problem
 from murmurate.discovery.problem import GATHERING
-from murmurate.errors import InputError, RunError, check_choice, check_number, shown
+from murmurate.errors import InputError, RunError, check_choice, check_number, check_path, check_type, shown
 from murmurate.registry import Importer, source_folder
 from murmurate.runs import config_io, files
 from murmurate.world import OBJECTIVES, FileStart, scaled_to
@@ -34,8 +34,6 @@ EXPERIMENT = "experiment.toml"
 
 STARTS = "starts.csv"
 """A run that begins at given positions keeps its own copy of them under this name."""
-
-MAX_SEED = 2**32 - 1
 
 
 @dataclass(frozen=True)
@@ -133,8 +131,8 @@ def check_seed(seed: object) -> None:
     Raises:
         InputError: It is no integer, or out of bounds.
     """
-    if not isinstance(seed, int) or isinstance(seed, bool) or not 0 <= seed <= MAX_SEED:
-        raise InputError("seed", seed, f"an integer from 0 to {MAX_SEED}")
+    if not isinstance(seed, int) or isinstance(seed, bool) or not 0 <= seed <= prng.MAX_SEED:
+        raise InputError("seed", seed, f"an integer from 0 to {prng.MAX_SEED}")
 
 
 def read_toml(path: str | Path) -> dict[str, Any]:
@@ -182,6 +180,8 @@ def save(config: ExperimentConfig, folder: str | Path) -> None:
     Raises:
         RunError: A file cannot be written.
     """
+    check_type("config", config, ExperimentConfig, "an experiment")
+    check_path("folder", folder)
     folder, start = Path(folder), config.start
     modules = dict(config.modules)
     for _, strategy in config_io.strategies(config):
@@ -212,6 +212,7 @@ def load(folder: str | Path, trusted: bool = False) -> ExperimentConfig:
     Raises:
         RunError: It is missing or not one that this version understands.
     """
+    check_path("folder", folder)
     path = Path(folder) / EXPERIMENT
     try:
         data = config_io.load_toml(files.inside(folder, EXPERIMENT), follow=False)

@@ -17,7 +17,7 @@ import os
 import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, BinaryIO, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -385,7 +385,7 @@ def append_rows(path: str | Path, rows: Iterable[Mapping[str, Any]]) -> None:
         RunError: The file cannot be written.
     """
     data = "".join(to_json(row) + "\n" for row in rows).encode()
-    with os_errors_as_run_errors(f"cannot write {path}"), untrusted.append(path) as file:
+    with os_errors_as_run_errors(f"cannot write {path}"), _open_rows(path) as file:
         size = file.seek(0, os.SEEK_END)
         try:
             while data:  # an unbuffered write may take only part of the data
@@ -394,6 +394,11 @@ def append_rows(path: str | Path, rows: Iterable[Mapping[str, Any]]) -> None:
         except BaseException:
             file.truncate(size)
             raise
+
+
+def _open_rows(path: str | Path) -> BinaryIO:
+    untrusted.detach(path, MAX_ROWS_BYTES)
+    return untrusted.append(path)
 
 
 def read_rows(path: str | Path, offset: int = 0) -> tuple[list[dict[str, Any]], int]:

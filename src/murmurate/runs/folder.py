@@ -35,7 +35,7 @@ import numpy as np
 
 from murmurate import untrusted
 from murmurate.discovery import Search, Snapshot, policy_name, policy_templates
-from murmurate.errors import MAX_INTEGER, RunError, shown
+from murmurate.errors import MAX_INTEGER, RunError, check_path, shown
 from murmurate.runs import experiment as configuration
 from murmurate.runs import files
 from murmurate.runs.experiment import EXPERIMENT, STARTS, ExperimentConfig
@@ -118,9 +118,13 @@ class RunFolder:
 
     Attributes:
         path: The folder.
+
+    Raises:
+        InputError: `path` is no path.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
+        check_path("folder", path)
         self.path = Path(path)
 
     def __fspath__(self) -> str:

@@ -16,10 +16,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from murmurate import prng
 from murmurate.discovery import build_world, check_parts
-from murmurate.errors import InputError, RunError, check_choice, check_number, suggestion
+from murmurate.errors import InputError, RunError, check_choice, check_number, check_path, suggestion
 from murmurate.runs import config_io, files, presets
-from murmurate.runs.experiment import EXPERIMENT, MAX_SEED, ExperimentConfig, check_seed
+from murmurate.runs.experiment import EXPERIMENT, ExperimentConfig, check_seed
 from murmurate.runs.folder import MANIFEST, FolderState, RunFolder
 from murmurate.runs.paper import EXPERIMENTS
 
@@ -133,6 +134,7 @@ class Grid:
             InputError: A key, field or value is unknown or not allowed, a run comes twice, or there is none.
             OSError: A file cannot be read.
         """
+        check_path("path", path)
         path = Path(path)
         blocks = _blocks(config_io.load_toml(path), path.parent)
         _check_size(sum(_size(**block) for block in blocks))
@@ -153,8 +155,9 @@ class Grid:
             InputError: A field is unknown, or a value is not allowed.
         """
         check_number("--seeds", seeds, 1, MAX_RUNS, integer=True)
-        if config.seed + seeds - 1 > MAX_SEED:
-            raise InputError("--seeds", seeds, f"at most {MAX_SEED - config.seed + 1}: seeds end at {MAX_SEED}")
+        if config.seed + seeds - 1 > prng.MAX_SEED:
+            most = prng.MAX_SEED - config.seed + 1
+            raise InputError("--seeds", seeds, f"at most {most}: seeds end at {prng.MAX_SEED}")
         leaves = {leaf.path: leaf for leaf in config_io.leaves(config)}
         axes: dict[str, list[str]] = {}
         for text in vary:

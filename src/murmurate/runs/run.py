@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from murmurate import prng
 from murmurate.discovery import Cascade, Trajectories, build_cascade, policy_templates, rollout
-from murmurate.errors import BeyondTrainingWarning, InputError, RunError, check_number, check_path, check_type
+from murmurate.errors import BeyondTrainingWarning, InputError, RunError, check_number, check_type
 from murmurate.runs import files
 from murmurate.runs.experiment import EXPERIMENT, ExperimentConfig, check_seed
 from murmurate.runs.folder import MAX_EPISODES, METRICS, RunFolder
@@ -58,7 +58,6 @@ class Run:
             RunError: The folder is missing, unfinished, damaged or of an unknown version, or names modules and is not
                 trusted.
         """
-        check_path("folder", folder)
         run = RunFolder(folder)
         manifest = run.verify()
         experiment = run.experiment(trust)
@@ -115,7 +114,6 @@ class Run:
         Raises:
             RunError: The folder holds something already, or cannot be written to.
         """
-        check_path("folder", folder)
         target, metrics = RunFolder(folder), files.inside(self.folder, METRICS)
         target.create()
         target.write_experiment(self.experiment)
@@ -143,13 +141,19 @@ class Run:
         return draw_starts(self.world.start, key, int(episodes), self.world.config)
 
     @prng.reproducible()
-    def rollout(self, starts: int | Float[Array, " ..."] | Any = 100, key: int | PRNGKeyArray = 0) -> Trajectories:
+    def rollout(
+        self,
+        starts: int | Float[Array, " ..."] | Any = 100,
+        key: int | PRNGKeyArray = 0,
+        on_chunk: Callable[[int, int, int], None] | None = None,
+    ) -> Trajectories:
         """Executes the cascade.
 
         Args:
             starts: A number of fresh starts to draw, or configurations `(episodes, robots, 2)`, or one `(robots, 2)`,
                 world units.
             key: A seed or a key of `jax.random`: for fresh starts, the robots' frames, noise and the scheduler.
+            on_chunk: Called as `on_chunk(steps, max_steps, ended)` after every chunk of steps; see `Cascade.rollout`.
 
         Returns:
             The episodes, until the last one was at rest, terminated or cut off.
@@ -159,7 +163,7 @@ class Run:
                 seed.
         """
         if isinstance(starts, int | np.integer) and not isinstance(starts, bool):
-            return rollout(self.cascade, self.starts(int(starts), key), rollout_seed(key))
+            return rollout(self.cascade, self.starts(int(starts), key), rollout_seed(key), on_chunk)
         shape = f"of shape (episodes, {self.experiment.world.robots}, 2)"
         if isinstance(starts, bool):
             raise InputError("starts", starts, f"a number of starts, or an array {shape}")
@@ -172,7 +176,7 @@ class Run:
             raise InputError("starts", f"an array {points.shape}", shape)
         check_draw(len(points), key)
         check_configurations(points, self.experiment.world, "starts")
-        return rollout(self.cascade, points, rollout_seed(key))
+        return rollout(self.cascade, points, rollout_seed(key), on_chunk)
 
     def __repr__(self) -> str:
         experiment, count = self.experiment, len(self.cascade.policies)

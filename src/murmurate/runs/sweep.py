@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from murmurate.errors import RunError, UsageError
+from murmurate.errors import RunError, UsageError, check_path, check_type
 from murmurate.runs import config_io, escape, files
 from murmurate.runs.evaluate import evaluated
 from murmurate.runs.execute import Executor, LocalProcesses, locked, run_jobs
@@ -57,6 +57,8 @@ def sweep(
         RunError: The folder holds other runs, cannot be written to, or another sweep is at work there.
         UsageError: Parquet needs pyarrow.
     """
+    check_type("grid", grid, Grid, "a grid, such as Grid.from_toml(path)")
+    check_path("out", out)
     out = Path(out)
     if parquet:
         check_parquet()
@@ -145,6 +147,7 @@ def write_csv(path: Path, table: Sequence[Row]) -> None:
     Raises:
         RunError: It cannot be written.
     """
+    check_path("path", path)
     text = io.StringIO()
     writer = csv.DictWriter(text, list(map(escape.cell, table[0])), lineterminator="\n")
     writer.writeheader()
@@ -175,6 +178,7 @@ def write_parquet(path: Path, table: Sequence[Row]) -> None:
     Raises:
         RunError: It cannot be written.
     """
+    check_path("path", path)
     import pyarrow
     from pyarrow import parquet
 

@@ -20,7 +20,7 @@ import jax
 
 from murmurate import __version__, prng
 from murmurate.discovery import Search, advance_together, build_cascade, check_parts, policy_name, policy_templates
-from murmurate.errors import RunError
+from murmurate.errors import RunError, check_function, check_path, check_type
 from murmurate.learning import sharding
 from murmurate.runs import config_io, files
 from murmurate.runs.evaluate import EPISODES, Evaluation, evaluate
@@ -67,6 +67,9 @@ def discover(
         RunError: The folder holds another run, is damaged, in use, or cannot be written to; the policies of `initial`
             do not fit; or the training diverged.
     """
+    check_type("config", config, ExperimentConfig, "an experiment, such as murmurate.experiment('C')")
+    check_path("folder", folder)
+    check_function("on_progress", on_progress, "on_progress(work, done, total, **values)")
     return discover_together({Path(folder): config}, resume, on_progress, on_metrics, initial)[0]
 
 

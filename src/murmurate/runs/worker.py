@@ -52,7 +52,9 @@ def start_process(
         The process. It ends when its stdin closes, and so when this process ends.
     """
     arguments = [spec, "--threads", str(threads), "--gpus", str(gpus)]
-    with untrusted.append(Path(json.loads(spec)["folder"]) / LOG) as log:
+    log_path = Path(json.loads(spec)["folder"]) / LOG
+    untrusted.detach(log_path, MAX_LOG_BYTES)
+    with untrusted.append(log_path) as log:
         return subprocess.Popen(
             [sys.executable, "-P", "-m", "murmurate.runs.worker", *arguments],
             env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)} | dict(environment or {}),
@@ -94,6 +96,7 @@ def work(spec: str, threads: int = 1, gpus: int = 0) -> str:
     folder = Path(json.loads(spec)["folder"])
     _set_environment(threads, gpus)
     try:
+        untrusted.detach(folder / LOG, MAX_LOG_BYTES)
         with untrusted.append(folder / LOG) as log:
             if fcntl is not None:
                 fcntl.flock(log, fcntl.LOCK_EX)

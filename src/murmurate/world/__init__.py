@@ -1,7 +1,7 @@
 """The Markov decision process: world, signals, objective, starts, sensing and schedulers. Knows nothing of learning."""
 
 from murmurate.types import Observation, Transition, View
-from murmurate.world.config import MAX_ROBOTS, WorldConfig, check_pairs, scaled_to, with_array_leaves
+from murmurate.world.config import MAX_ROBOTS, WorldConfig, check_pairs, check_world, scaled_to, with_array_leaves
 from murmurate.world.env import (
     ActionRepeat,
     LocalObservation,
@@ -35,6 +35,7 @@ from murmurate.world.starts import (
     UniformStart,
     check_configurations,
     check_start,
+    checked_starts,
     draw_starts,
     read_named_starts,
     read_starts,
@@ -83,6 +84,8 @@ __all__ = [
     "check_configurations",
     "check_pairs",
     "check_start",
+    "check_world",
+    "checked_starts",
     "draw_starts",
     "objective_signals",
     "read_named_starts",

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from murmurate.errors import MAX_MAGNITUDE, InputError, check_choice, check_number
+from murmurate.errors import MAX_MAGNITUDE, InputError, check_choice, check_number, check_type
 
 __all__ = ["MAX_ROBOTS", "Safety", "WorldConfig", "check_pairs", "scaled_to", "with_array_leaves"]
 
@@ -100,6 +100,15 @@ def check_pairs(field: str, count: int, robots: int) -> None:
         raise InputError(field, count, f"at most {most} with {robots} robots: memory holds no more pairs of them")
 
 
+def check_world(world: object) -> None:
+    """Checks an argument that is the sizes of a world.
+
+    Raises:
+        InputError: It is something else.
+    """
+    check_type("world", world, WorldConfig, "sizes of a world, such as WorldConfig(robots=8)")
+
+
 def scaled_to(world: WorldConfig, robots: int) -> WorldConfig:
     """Returns the world for a swarm of another size: its robots are the same, its sides and the scan radius grow.
 
@@ -113,6 +122,7 @@ def scaled_to(world: WorldConfig, robots: int) -> WorldConfig:
     Raises:
         InputError: There are too few or too many of them.
     """
+    check_world(world)
     check_number("robots", robots, 2, MAX_ROBOTS, integer=True)
     factor = _half_side(robots) / _half_side(world.robots)
     return replace(

@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key, PRNGKeyArray, UInt32
 
+from murmurate.errors import check_type
 from murmurate.geometry import _batch_last
 from murmurate.types import Observation, Transition, View
 from murmurate.world.config import WorldConfig
@@ -105,6 +106,8 @@ class World(eqx.Module):
         Raises:
             InputError: There is no such objective or signal, or the start is not possible.
         """
+        check_type("config", config, WorldConfig, "sizes of a world, such as WorldConfig(robots=8)")
+        check_type("start", start, Start, "a start, such as UniformStart()")
         signals = objective_signals(objective) if isinstance(objective, str) else objective
         return cls(config, Objective(signals, weights), start.prepare(config), horizon, per_robot_credit)
 

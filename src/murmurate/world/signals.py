@@ -14,10 +14,10 @@ from typing import Any, ClassVar
 import equinox as eqx
 from jaxtyping import Bool, Float
 
-from murmurate.errors import MAX_MAGNITUDE, InputError, check_number
+from murmurate.errors import MAX_MAGNITUDE, InputError, check_choice, check_number, check_type
 from murmurate.geometry import _batch_last
 from murmurate.registry import Strategy
-from murmurate.world.config import WorldConfig
+from murmurate.world.config import WorldConfig, check_world
 
 __all__ = ["OBJECTIVES", "Configuration", "Objective", "Signal", "objective_signals"]
 
@@ -34,7 +34,14 @@ class Configuration:
     """
 
     def __init__(self, positions: Float[Array, "robots 2 *batch"], world: WorldConfig) -> None:
-        self.xp, self.positions = _batch_last.as_floating(positions)
+        allowed = "numbers of shape (robots, 2, ...)"
+        try:
+            self.xp, self.positions = _batch_last.as_floating(positions)
+        except (TypeError, ValueError):
+            raise InputError("positions", positions, allowed) from None
+        if self.positions.ndim < 2 or self.positions.shape[1] != 2:
+            raise InputError("positions", self.positions.shape, allowed)
+        check_world(world)
         self.world = world
 
     @cached_property
@@ -207,8 +214,7 @@ def objective_signals(objective: str, own: Mapping[str, Signal] | None = None) -
     Raises:
         InputError: There is no objective of that name, or it has no signal at all.
     """
-    if objective not in OBJECTIVES:
-        raise InputError("objective", objective, f"one of {', '.join(OBJECTIVES)}")
+    check_choice("objective", objective, tuple(OBJECTIVES))
     known = Signal.registered()
     signals: dict[str, Any] = {name: known[name]() for name in OBJECTIVES[objective]}
     signals.update(own or {})
@@ -240,6 +246,9 @@ class Objective(eqx.Module):
         Raises:
             InputError: A weight is not a finite number >= 0, or is for a signal that the objective lacks.
         """
+        check_type("signals", signals, Mapping, "signals by name")
+        for name, signal in signals.items():
+            check_type(f"signals.{name}", signal, Signal, "a signal")
         for name, weight in (weights or {}).items():
             if name not in signals:
                 raise InputError(f"weights.{name}", weight, f"of a signal of the objective ({', '.join(signals)})")

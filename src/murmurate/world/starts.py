@@ -13,6 +13,7 @@ import math
 import operator
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
+from contextvars import ContextVar
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar, Literal, get_args
@@ -21,13 +22,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from murmurate import prng, untrusted
-from murmurate.errors import MAX_INTEGER, InputError, check_choice, check_number
+from murmurate.errors import MAX_INTEGER, InputError, check_choice, check_number, check_path, check_type
 from murmurate.geometry import _batch_last
 from murmurate.registry import Strategy
-from murmurate.world.config import MAX_PAIRS, WorldConfig, with_array_leaves
+from murmurate.world.config import MAX_PAIRS, WorldConfig, check_world, with_array_leaves
 
 __all__ = [
     "DistributedStart",
@@ -43,6 +44,7 @@ __all__ = [
     "UniformStart",
     "check_configurations",
     "check_start",
+    "checked_starts",
     "draw_starts",
     "read_named_starts",
     "read_starts",
@@ -55,6 +57,9 @@ MAX_REDRAWS = 10_000
 
 MAX_REDRAW_PAIRS = 1 << 34
 """Pairs of robots compared in all redraws of a batch, about: they take a minute."""
+
+PART_PAIRS = 1 << 28
+"""Pairs of robots compared in the redraws of a batch that nothing interrupts, about: they take a second."""
 
 MAX_PARTIAL_REDRAWS = 50
 """Redraws after which a configuration that still overlaps is drawn anew as a whole."""
@@ -401,7 +406,7 @@ def _redraw_overlaps_batch_last(
 ) -> Float[Array, "robots 2 batch"]:
     def pending(carry: tuple[Any, Any, Any, Any]) -> Any:
         _, _, overlapping, turn = carry
-        return jnp.any(overlapping) & (turn < turns)
+        return jnp.any(overlapping) & (turn < end)
 
     def redraw(carry: tuple[Any, Any, Any, Any]) -> tuple[Any, Any, Any, Any]:
         key, positions, overlapping, turn = carry
@@ -411,12 +416,35 @@ def _redraw_overlaps_batch_last(
         positions = jnp.where((overlapping | stuck)[:, None], propose(draw), positions)
         return key, positions, _touch_earlier(positions, radius), turn + 1
 
+    first = _first_redraw.get()
+    if isinstance(first, jax.Array):
+        key = jax.lax.fori_loop(0, first, lambda _, key: jax.random.split(key)[0], key)
     key, draw = jax.random.split(key)
     positions = propose(draw)
-    # In large batches of large swarms a redraw takes long, and nothing interrupts the loop.
-    turns = min(MAX_REDRAWS, max(MAX_REDRAW_PAIRS // (positions.size * len(positions)), 2 * MAX_PARTIAL_REDRAWS))
-    carry = (key, positions, _touch_earlier(positions, radius), 0)
+    robots, _, batch = positions.shape
+    begin, end = 0, _max_redraws(batch, robots)
+    if first is not None:
+        begin, end = first, jnp.minimum(first + _part_redraws(batch, robots), end)
+    carry = (key, positions, _touch_earlier(positions, radius), begin)
     return jax.lax.while_loop(pending, redraw, carry)[1]
+
+
+def _max_redraws(batch: int, robots: int) -> int:
+    """Returns after how many redraws overlaps stay: in large batches of large swarms each takes long."""
+    return min(MAX_REDRAWS, max(MAX_REDRAW_PAIRS // (2 * batch * robots**2), 2 * MAX_PARTIAL_REDRAWS))
+
+
+def _part_redraws(batch: int, robots: int) -> int:
+    """Returns how many redraws `draw_starts` executes at a time: a multiple of `MAX_PARTIAL_REDRAWS`."""
+    return max(PART_PAIRS // (2 * batch * robots**2 * MAX_PARTIAL_REDRAWS), 1) * MAX_PARTIAL_REDRAWS
+
+
+_first_redraw: ContextVar[int | Array | None] = ContextVar("first_redraw", default=None)
+"""While a program of `draw_starts` is traced, the redraw that its part of them begins with; None: it has all of them.
+
+After every `MAX_PARTIAL_REDRAWS` redraws, each configuration that still overlaps is drawn anew as a whole. So a later
+part, which begins after a multiple of that, goes on without what the parts before it have drawn.
+"""
 
 
 def _touch_earlier(positions: Float[Array, "robots 2 batch"], radius: Any) -> Any:
@@ -430,14 +458,46 @@ def _touch_earlier(positions: Float[Array, "robots 2 batch"], radius: Any) -> An
 def draw_starts(
     start: Start, key: PRNGKeyArray, count: int, world: WorldConfig
 ) -> Float[np.ndarray, "starts robots 2"]:
-    """Draws configurations, world units, from a prepared start."""
-    return np.asarray(_draw(with_array_leaves(start), key, count, with_array_leaves(world)))
+    """Draws configurations, world units, from a prepared start.
+
+    Overlaps are redrawn in parts of about a second, between which Ctrl-C ends it.
+    """
+    check_type("start", start, Start, "a start, such as UniformStart()")
+    check_number("count", count, 1, integer=True)
+    check_world(world)
+    arguments = (with_array_leaves(start), key, count, with_array_leaves(world))
+    points, overlapping = jax.device_get(_draw_part(*arguments, 0))
+    if not overlapping.any():
+        return points
+    part = _part_redraws(count, world.robots)
+    for first in range(part, _max_redraws(count, world.robots), part):
+        _, still = jax.device_get(_draw_part(*arguments, np.int32(first)))
+        overlapping = overlapping & still
+        if not overlapping.any():
+            break
+    else:
+        return points
+    # One program, as a training draws them: a start of the user's own may have done more than to redraw overlaps.
+    return np.asarray(_draw(*arguments))
 
 
 # Outside of a jit, the loop that redraws overlaps would be compiled anew at every call.
 @eqx.filter_jit
 def _draw(start: Start, key: PRNGKeyArray, count: int, world: WorldConfig) -> Float[Array, "starts robots 2"]:
     return start.sample(key, count, world)
+
+
+@eqx.filter_jit
+def _draw_part(
+    start: Start, key: PRNGKeyArray, count: int, world: WorldConfig, first: int | Array
+) -> tuple[Float[Array, "starts robots 2"], Bool[Array, " starts"]]:
+    """Draws configurations with a part of the redraws, from `first` on, and returns which still overlap."""
+    token = _first_redraw.set(first)
+    try:
+        points = start.sample(key, count, world)
+    finally:
+        _first_redraw.reset(token)
+    return points, jnp.any(_touch_earlier(jnp.moveaxis(points, 0, -1), world.radius), axis=0)
 
 
 def check_start(start: Start, world: WorldConfig) -> Start:
@@ -449,6 +509,8 @@ def check_start(start: Start, world: WorldConfig) -> Start:
     Raises:
         InputError: The start returns another shape or type, or numbers that are not finite, or its robots do not fit.
     """
+    check_type("start", start, Start, "a start, such as UniformStart()")
+    check_world(world)
     if TRIALS * world.robots**2 > MAX_PAIRS:
         most = math.isqrt(MAX_PAIRS // TRIALS)
         raise InputError("world.robots", world.robots, f"at most {most}: memory holds no more pairs of them")
@@ -562,6 +624,8 @@ def read_named_starts(path: str | Path, robots: int) -> dict[str, Float[np.ndarr
         InputError: A column is missing or there twice, a row has too many cells, a value is no finite number, or a
             start has another number of robots.
     """
+    check_path("path", path)
+    check_number("robots", robots, 1, integer=True)
     source = str(path)
     try:
         # Spreadsheets begin files with a byte-order mark.
@@ -607,6 +671,27 @@ def _coordinate(source: str, line: int, row: dict[str, str | None], column: str)
     return value
 
 
+def checked_starts(field: str, points: Any, robots: int) -> Any:
+    """Returns configurations as an array, after checking that it is one of numbers of the right shape.
+
+    Args:
+        field: What they are called in an error.
+        points: The configurations.
+        robots: Number of robots.
+
+    Raises:
+        InputError: It is none.
+    """
+    allowed = f"finite numbers of shape (episodes, {robots}, 2)"
+    try:
+        array = np.asarray(points, float)
+    except (TypeError, ValueError):
+        raise InputError(field, points, allowed) from None
+    if array.ndim != 3 or array.shape[1:] != (robots, 2) or not len(array):
+        raise InputError(field, f"an array {array.shape}", allowed)
+    return array
+
+
 def check_configurations(
     points: Float[np.ndarray, "starts robots 2"], world: WorldConfig, source: str, names: Sequence[str] | None = None
 ) -> None:
@@ -621,6 +706,8 @@ def check_configurations(
     Raises:
         InputError: One is; the message names which.
     """
+    check_world(world)
+    points = checked_starts(source, points, world.robots)
     # Runs compute with float32, so the rounded positions are what must be free of contact.
     with np.errstate(over="ignore"):
         points = points.astype(np.float32).astype(float)

@@ -20,7 +20,7 @@ from jax.extend.core import jaxpr_as_fun
 from jaxtyping import Array, Float
 
 from murmurate import prng
-from murmurate.errors import InputError, check_number
+from murmurate.errors import InputError, check_number, check_type
 from murmurate.interop import missing_extra
 from murmurate.interop.onnx import programs
 from murmurate.interop.onnx.programs import Program
@@ -117,6 +117,7 @@ def export(run: Run, index: int | None = None, opset: int = OPSET) -> Model:
             their own, or a class of the user's own computes something that ONNX does not have, or uses more than a
             robot's own view.
     """
+    check_type("run", run, Run, "a run, such as murmurate.load(folder)")
     check_number("--opset", opset, *OPSETS, integer=True)
     program = programs.cascade_program(run) if index is None else programs.policy_program(run, index)
     with _naming(program):
