@@ -11,7 +11,7 @@ from typing import Any
 __all__ = ["sigterm_as_interrupt"]
 
 # Windows has no SIGTERM between processes: there a process in a group of its own is sent Ctrl-Break instead.
-_REQUESTS = [signal.SIGTERM, *([signal.SIGBREAK] if hasattr(signal, "SIGBREAK") else [])]
+_REQUESTS = [getattr(signal, name) for name in ("SIGTERM", "SIGBREAK") if hasattr(signal, name)]
 
 
 @contextlib.contextmanager
