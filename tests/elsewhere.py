@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+# Python's library and other packages take what the system has when they are loaded: those that do come first.
+import asyncio  # noqa: F401
 import importlib
 import os
 import pkgutil
@@ -10,7 +12,6 @@ import sys
 import warnings
 from pathlib import Path
 
-# Other packages look at the system when they are loaded, and take what it has.
 import filelock  # noqa: F401
 import jax
 import matplotlib.backends.backend_agg  # noqa: F401
