@@ -4,14 +4,16 @@ VENV ?= .venv
 BIN := $(VENV)/$(if $(filter Windows_NT,$(OS)),Scripts,bin)
 EXPERIMENT ?= C
 SEED ?= 0
+# With constraints-oldest.txt, give another VENV too: what is installed already stays.
+CONSTRAINTS ?= constraints.txt
 OUT ?= runs/$(EXPERIMENT)-equivariant-seed$(SEED)
 
-.PHONY: discover test test-nightly lint dist docs figures-docs benchmark results seeds optima pretrained compare clean
+.PHONY: discover test pytest test-nightly lint dist docs figures-docs benchmark results seeds optima pretrained compare clean
 
-INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable
+INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint $(CONSTRAINTS) --editable
 
 # What training, evaluation and figures need; then what tests, checks and documentation need besides.
-$(VENV)/.core: pyproject.toml constraints.txt
+$(VENV)/.core: pyproject.toml $(CONSTRAINTS)
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "murmurate needs Python >= 3.11; set PYTHON=...")'
 	$(PYTHON) -m venv $(VENV)
 	$(INSTALL) .
@@ -25,7 +27,9 @@ $(VENV)/.dev: $(VENV)/.core
 discover: $(VENV)/.core  ## train (or go on), evaluate and draw one experiment (EXPERIMENT=C SEED=0 OUT=runs/...)
 	$(BIN)/murmurate discover $(EXPERIMENT) --seed $(SEED) --out $(OUT) --resume || [ $$? -eq 5 ]
 
-test: lint  ## style, types, layers and the tests (11 minutes on two cores)
+test: lint pytest  ## style, types, layers and the tests (11 minutes on two cores)
+
+pytest: $(VENV)/.dev  ## the tests alone
 	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 test-nightly: lint  ## the long tests besides: Ray, Slurm, several hosts, large swarms, 100,000 configurations
@@ -33,6 +37,7 @@ test-nightly: lint  ## the long tests besides: Ray, Slurm, several hosts, large 
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .
+	$(BIN)/ruff check --preview --select PLW1514 .  # every text file has an encoding
 	$(BIN)/ruff format --check .
 	$(BIN)/lint-imports
 	$(BIN)/pyright
@@ -41,7 +46,7 @@ dist: $(VENV)/.dev  ## wheel and sdist into dist/, and the wheel tried outside o
 	rm -rf dist build/wheel
 	$(BIN)/python -m build --outdir dist
 	$(PYTHON) -m venv build/wheel
-	$(subst $(VENV),build/wheel,$(BIN))/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt dist/*.whl
+	$(subst $(VENV),build/wheel,$(BIN))/python -m pip install --quiet --disable-pip-version-check --constraint $(CONSTRAINTS) dist/*.whl
 	cd build && $(subst $(VENV),wheel,$(BIN))/python ../tests/try_installed.py
 
 docs: $(VENV)/.dev  ## the documentation site, warnings are errors; into build/docs

@@ -18,7 +18,7 @@ from typing import Any
 from benchmarks import figure, report
 from benchmarks.cases import SIZED, STEP, TRAINING, Size, all_cases, batches, costs
 from benchmarks.machine import Extent, machine, memory_bytes
-from benchmarks.measure import Case, measure, peak_here, peak_memory
+from benchmarks.measure import MEASURES_MEMORY, Case, measure, peak_here, peak_memory
 from murmurate import plots
 
 QUICK = Size(
@@ -96,6 +96,9 @@ def _tell(line: str) -> None:
 
 def _weighed(cases: Sequence[Case], size: Size) -> list[Case]:
     """Picks the cases whose memory is measured: each swarm in its most worlds, and every training."""
+    if not MEASURES_MEMORY:
+        _tell("peak memory is not measured on this system")
+        return []
     most = {robots: batches(robots, size)[-1] for robots in size.robots}
     steps = [case for case in cases if (case.part, case.name) == (SIZED, STEP) and case.worlds == most[case.robots]]
     return steps + [case for case in cases if case.part == TRAINING]

@@ -6,7 +6,6 @@ Cases are timed in rounds, each case once a round, so that whatever slows the ma
 from __future__ import annotations
 
 import json
-import resource
 import statistics
 import subprocess
 import sys
@@ -19,7 +18,15 @@ from typing import Any
 import equinox as eqx
 import jax
 
-__all__ = ["Case", "Timing", "compiler_cost", "first_run", "measure", "peak_here", "peak_memory"]
+try:
+    import resource
+except ImportError:  # Windows
+    resource = None
+
+__all__ = ["MEASURES_MEMORY", "Case", "Timing", "compiler_cost", "first_run", "measure", "peak_here", "peak_memory"]
+
+MEASURES_MEMORY = resource is not None
+"""Whether this system tells how large a process has been."""
 
 
 @dataclass(frozen=True)
@@ -188,4 +195,5 @@ def _resident() -> int:
     if status.exists():  # ru_maxrss also counts the process that this one was forked from
         line = next(line for line in status.read_text(encoding="ascii").splitlines() if line.startswith("VmHWM"))
         return 1024 * int(line.split()[1])
+    assert resource is not None, "peak memory is not measured on this system"
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)

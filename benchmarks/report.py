@@ -226,6 +226,8 @@ def _memory(rows: Rows) -> str:
     def size(row: Mapping[str, Any]) -> str:
         return "does not fit" if row["peak_bytes"] is None else f"{row['peak_bytes'] / 2**20:,.0f} MiB"
 
+    if not rows:
+        return "Not measured: this system does not tell how large a process has been."
     cells = [(row["name"], f"{row['robots']:,}", f"{row['worlds']:,}", size(row)) for row in rows]
     return as_markdown(("what", "N", "worlds", "peak"), cells)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
-import fcntl
 import functools
 import gc
 import os
@@ -24,6 +23,7 @@ if os.environ.get("MURMURATE_TEST_COMPILER") != "full":
     flags = "--xla_backend_optimization_level=1 --xla_cpu_use_fusion_emitters=false"
     os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {flags} --xla_cpu_parallel_codegen_split_count=1"
 
+import filelock
 import hypothesis
 import jax
 import jaxtyping
@@ -104,7 +104,7 @@ MAX_MEMORY_MAPS = 65530
 
 def _resident_bytes():
     try:
-        return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+        return int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1]) * os.sysconf("SC_PAGE_SIZE")
     except OSError:  # not Linux
         return 0
 
@@ -133,23 +133,15 @@ def tiny_run(tmp_path_factory):
         from murmurate.runs import config_io
 
         folder = root / kind
-        with locked(root / f"{kind}.lock"):
+        with filelock.FileLock(root / f"{kind}.lock"):
             if not folder.exists():
                 toml = root / f"{kind}.toml"
-                toml.write_text(config_io.dump_toml(tiny(**KINDS[kind])))
+                toml.write_text(config_io.dump_toml(tiny(**KINDS[kind])), encoding="utf-8")
                 with jax.numpy_rank_promotion("allow"), jax.numpy_dtype_promotion("standard"):
                     assert main(["discover", str(toml), "--out", str(folder), "--quiet"]) == 0
         return folder
 
     return run
-
-
-@contextlib.contextmanager
-def locked(path):
-    """Keeps other processes waiting."""
-    with path.open("a") as file:
-        fcntl.flock(file, fcntl.LOCK_EX)
-        yield
 
 
 @pytest.fixture

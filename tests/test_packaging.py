@@ -9,8 +9,14 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
+from packaging.version import Version
 
 ROOT = Path(__file__).parents[1]
+CONSTRAINTS = ["constraints.txt", "constraints-oldest.txt"]
+UNTRIED = {"jaxmarl", "stable-baselines3"}
+"""What no test installs."""
+
 INSTRUCTIONS = {"FROM", "WORKDIR", "COPY", "RUN", "USER", "ENTRYPOINT", "CMD"}
 
 
@@ -22,20 +28,40 @@ def normalized(name):
     return re.sub(r"[-_.]+", "-", name).lower()
 
 
-def pinned():
-    """Returns the versions of the constraints file by name."""
-    lines = (ROOT / "constraints.txt").read_text().splitlines()
-    return dict(re.fullmatch(r"([\w.-]+)==(\S+)", line).groups() for line in lines if not line.startswith("#"))
+def pinned(constraints):
+    """Returns the versions of a constraints file by name."""
+    lines = (ROOT / constraints).read_text(encoding="utf-8").splitlines()
+    found = [re.fullmatch(r"([\w.-]+)==(\S+)", line).groups() for line in lines if not line.startswith("#")]
+    return {normalized(name): Version(version) for name, version in found}
 
 
-def test_what_is_installed_by_default_and_for_tests_is_pinned():
-    wanted = [*project()["dependencies"], *project()["optional-dependencies"]["dev"]]
-    names = {normalized(name) for name in pinned()}
-    assert {normalized(re.match(r"[\w.-]+", entry)[0]) for entry in wanted} <= names
+def requirements(*extras):
+    """Returns what is installed by default, and what the extras bring besides."""
+    texts = [*project()["dependencies"]]
+    for extra in extras:
+        texts += project()["optional-dependencies"][extra]
+    return [Requirement(text) for text in texts]
 
 
-def test_constraints_are_versions_only():
-    lines = (ROOT / "constraints.txt").read_text().splitlines()
+@pytest.mark.parametrize("constraints", CONSTRAINTS)
+def test_what_is_installed_by_default_and_for_tests_is_pinned(constraints):
+    versions = pinned(constraints)
+    for requirement in requirements("dev"):
+        assert requirement.specifier.contains(versions[normalized(requirement.name)]), requirement
+
+
+def test_the_oldest_versions_are_those_that_the_project_allows():
+    versions = pinned("constraints-oldest.txt")
+    for requirement in requirements(*project()["optional-dependencies"]):
+        (bound,) = requirement.specifier
+        assert bound.operator == ">="
+        oldest = versions.get(normalized(requirement.name))
+        assert oldest == Version(bound.version) or (oldest is None and requirement.name in UNTRIED), requirement
+
+
+@pytest.mark.parametrize("constraints", CONSTRAINTS)
+def test_constraints_are_versions_only(constraints):
+    lines = (ROOT / constraints).read_text(encoding="utf-8").splitlines()
     assert lines[1:] == sorted(lines[1:], key=str.lower)
     assert not [line for line in lines if "/" in line or "@" in line]
 
@@ -67,8 +93,16 @@ def test_the_image_is_built():
 
 def test_the_workflow_runs_the_tests_on_three_systems():
     text = (ROOT / ".github/workflows/test.yml").read_text()
-    assert "make test" in text
+    assert "make ${{ matrix.target }} PYTHON=python CONSTRAINTS=${{ matrix.constraints }}" in text
+    assert {*re.findall(r"(constraints[\w-]*\.txt)", text)} == {*CONSTRAINTS}
+    targets = re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
+    assert {*re.findall(r"target: \[?(\w+)", text)} == {"test", "pytest"} <= {*targets}
     for system in ("ubuntu", "macos", "windows"):
         assert f"{system}-latest" in text
     versions = {entry.rsplit(" ", 1)[1] for entry in project()["classifiers"] if re.search(r":: 3\.\d+$", entry)}
-    assert set(re.findall(r'"(3\.\d+)"', text)) <= versions
+    assert set(re.findall(r'"(3\.\d+)"', text)) == versions
+
+
+def test_text_has_the_same_bytes_on_every_system():
+    """The checksums of the weights that come with the package are of text files too."""
+    assert "\n* text=auto eol=lf\n" in (ROOT / ".gitattributes").read_text(encoding="utf-8")

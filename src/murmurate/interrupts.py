@@ -1,4 +1,4 @@
-"""Lets a request to end, SIGTERM, end a process as Ctrl-C does: batch systems and service managers send it."""
+"""Lets a request to end, SIGTERM or Ctrl-Break, end a process as Ctrl-C does: batch systems and consoles send it."""
 
 from __future__ import annotations
 
@@ -10,10 +10,13 @@ from typing import Any
 
 __all__ = ["sigterm_as_interrupt"]
 
+# Windows has no SIGTERM between processes: there a process in a group of its own is sent Ctrl-Break instead.
+_REQUESTS = [getattr(signal, name) for name in ("SIGTERM", "SIGBREAK") if hasattr(signal, name)]
+
 
 @contextlib.contextmanager
 def sigterm_as_interrupt() -> Iterator[None]:
-    """Raises `KeyboardInterrupt` at SIGTERM until the block ends, so that workers end and what was reached is kept."""
+    """Raises `KeyboardInterrupt` at a request to end, until the block ends: workers end, what was reached is kept."""
     if threading.current_thread() is not threading.main_thread():  # only the main thread may handle signals
         yield
         return
@@ -21,8 +24,9 @@ def sigterm_as_interrupt() -> Iterator[None]:
     def interrupt(*_: Any) -> None:
         raise KeyboardInterrupt
 
-    before = signal.signal(signal.SIGTERM, interrupt)
+    before = {request: signal.signal(request, interrupt) for request in _REQUESTS}
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for request, handler in before.items():
+            signal.signal(request, handler)

@@ -15,15 +15,30 @@ import errno
 import os
 import secrets
 import stat
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
-__all__ = ["append", "check_inside", "create", "detach", "partial_files", "read", "read_end", "replace"]
+from filelock import lock_descriptor
+
+__all__ = ["append", "check_inside", "create", "detach", "locked", "partial_files", "read", "read_end", "replace"]
 
 # Not every system has all of these; without O_NOFOLLOW links are looked for first.
 _NO_FOLLOW = getattr(os, "O_NOFOLLOW", 0)
 _NO_WAIT = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
+
+_JUNCTION = 0xA0000003
+"""The tag of a folder of Windows that leads elsewhere as a link does."""
+
+_NO_LOCKS = (errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS, errno.EINVAL)
+"""What a file system without locks says."""
+
+_KEEPS_OPEN_FILES = os.name == "nt"
+"""Whether a file that some process has open can be neither removed nor replaced, as on Windows."""
+
+REPLACE_SECONDS = 2.0
+"""Time that the readers of a file have for closing it, where an open file cannot be replaced."""
 
 
 def read(path: str | os.PathLike[str], max_bytes: int, follow: bool = False) -> bytes:
@@ -74,7 +89,7 @@ def detach(path: str | os.PathLike[str], max_bytes: int) -> None:
 
 
 def append(path: str | os.PathLike[str]) -> BinaryIO:
-    """Opens a regular file without a buffer, to write behind its end or to lock it; creates it where there is none.
+    """Opens a regular file without a buffer, to write behind its end; creates it where there is none.
 
     Before writing, see `detach`.
 
@@ -121,13 +136,61 @@ def replace(path: str | os.PathLike[str], data: bytes) -> None:
     """
     path = Path(path)
     with create(path, data) as partial:
-        os.replace(partial, path)
+        _move(partial, path)
     with contextlib.suppress(OSError):  # the name is safe on disk too, where a folder can be synced
         descriptor = os.open(path.parent, os.O_RDONLY)
         try:
             os.fsync(descriptor)
         finally:
             os.close(descriptor)
+
+
+def _move(source: Path, target: Path) -> None:
+    until = time.monotonic() + REPLACE_SECONDS
+    while True:
+        try:
+            return os.replace(source, target)
+        except PermissionError:
+            if not _KEEPS_OPEN_FILES or time.monotonic() > until:
+                raise
+        time.sleep(0.01)
+
+
+@contextlib.contextmanager
+def locked(path: str | os.PathLike[str], wait: bool = False) -> Iterator[None]:
+    """Locks a file until the block or the process ends, however it ends; the file is there only in between.
+
+    On a file system without locks nothing is locked.
+
+    Args:
+        path: The file, which holds nothing.
+        wait: Whether to wait for another process that has locked it.
+
+    Raises:
+        BlockingIOError: Another process has locked it.
+        OSError: It cannot be opened, is a link, or is no regular file.
+    """
+    path = Path(path)
+    with contextlib.ExitStack() as stack:
+        while True:
+            file = stack.enter_context(append(path))
+            try:
+                if not lock_descriptor(file.fileno(), blocking=wait):
+                    raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN), str(path))
+            except OSError as error:
+                if error.errno not in _NO_LOCKS:
+                    raise
+            # The process that held the lock may have removed the file in the meantime: then it locks nothing.
+            with contextlib.suppress(OSError):
+                if _KEEPS_OPEN_FILES or os.path.samestat(os.fstat(file.fileno()), path.stat()):
+                    break
+        try:
+            yield
+        finally:
+            if _KEEPS_OPEN_FILES:  # a file that the next process has locked already is open, and so it stays
+                stack.close()
+            with contextlib.suppress(OSError):
+                path.unlink()
 
 
 def partial_files(folder: Path) -> list[Path]:
@@ -148,17 +211,25 @@ def check_inside(folder: str | os.PathLike[str], name: str) -> Path:
     path = Path(folder)
     for part in Path(name).parts:
         path = path / part
-        if part == ".." or os.path.isabs(part):
+        if part == ".." or os.path.isabs(part) or Path(part).drive:
             raise OSError(errno.EPERM, "it is outside the folder", str(path))
-        if os.path.islink(path):
+        if _is_link(path):
             raise OSError(errno.ELOOP, f"{path.name} is a link, and links in a folder are not followed", str(path))
     return path
 
 
 def _open(path: str | os.PathLike[str], flags: int, follow: bool = False) -> int:
-    if not follow and os.path.islink(path) and not flags & os.O_EXCL:
+    if not follow and _is_link(path) and not flags & os.O_EXCL:
         raise OSError(errno.ELOOP, "it is a link, and links in a folder are not followed", str(path))
     return os.open(path, flags | _NO_WAIT | (0 if follow else _NO_FOLLOW), 0o666)
+
+
+def _is_link(path: str | os.PathLike[str]) -> bool:
+    try:
+        status = os.lstat(path)
+    except (OSError, ValueError):
+        return False
+    return stat.S_ISLNK(status.st_mode) or getattr(status, "st_reparse_tag", 0) == _JUNCTION
 
 
 def _check_regular(descriptor: int) -> None:

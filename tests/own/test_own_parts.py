@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
-import signal
 import subprocess
 import sys
 import time
@@ -85,7 +83,7 @@ def test_killed_in_the_middle_it_goes_on_to_the_same_weights(experiment, run, tm
         while not (folder / "checkpoint").exists() and time.monotonic() < deadline and training.poll() is None:
             time.sleep(0.01)
     finally:
-        os.kill(training.pid, signal.SIGKILL)
+        training.kill()
         training.wait()
     assert (folder / "checkpoint").exists()
     assert not (folder / "manifest.json").exists()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 import socket
 import subprocess
 import sys
@@ -110,7 +109,7 @@ def test_a_run_is_resumed_on_another_number_of_devices_after_a_host_died(tmp_pat
         assert time.monotonic() < deadline
         assert first.poll() is None
         time.sleep(0.05)
-    second.send_signal(signal.SIGKILL)
+    second.kill()
     second.communicate()
     first.communicate(timeout=120)
     assert first.returncode != 0

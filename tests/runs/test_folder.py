@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
-import signal
 import subprocess
 import sys
 
@@ -68,7 +66,7 @@ def test_a_lock_keeps_others_out_until_its_process_dies(tmp_path):
         assert process.stdout.readline() == "locked\n"
         with pytest.raises(RunError, match="is in use"), folder.lock():
             pass
-        os.kill(process.pid, signal.SIGKILL)
+        process.kill()
     assert (tmp_path / LOCK).exists()
     with folder.lock():
         pass

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import fcntl
 import os
 import signal
 import subprocess
@@ -12,6 +11,7 @@ import time
 from pathlib import Path
 
 import pytest
+from filelock import FileLock
 
 import murmurate
 from murmurate.cli.main import main
@@ -54,7 +54,7 @@ def finish(folder, *options):
 
 
 def table_of(out):
-    with (out / "results.csv").open() as file:
+    with (out / "results.csv").open(encoding="utf-8", newline="") as file:
         return {row["run"]: row for row in csv.DictReader(file)}
 
 
@@ -68,6 +68,8 @@ def wait_for(condition, seconds=120):
 
 def workers(out):
     """Numbers of the processes that train a run of a folder, by the run."""
+    if not Path("/proc").is_dir():
+        pytest.skip("the processes of other systems than Linux are not looked for")
     found = {}
     for process in Path("/proc").glob("[0-9]*"):
         try:
@@ -94,7 +96,7 @@ def same(one, other):
 
 
 def parent(process):
-    return int(Path(f"/proc/{process}/stat").read_text().rsplit(")")[-1].split()[1])
+    return int(Path(f"/proc/{process}/stat").read_text(encoding="utf-8").rsplit(")")[-1].split()[1])
 
 
 def killed_in_the_middle(folder, *options, whom=lambda process: process):
@@ -148,8 +150,7 @@ def test_an_interrupted_sweep_leaves_nobody_behind_and_goes_on(folder):
 
 def test_two_sweeps_never_work_in_one_folder(folder, capsys):
     (folder / "out").mkdir()
-    with (folder / "out" / ".lock").open("a") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
+    with FileLock(folder / "out" / ".lock"):
         assert main(["sweep", str(folder / "sweep.toml"), "--out", str(folder / "out")]) == 2
     assert "another command is at work there" in capsys.readouterr().err
     assert os.listdir(folder / "out") == [".lock"]

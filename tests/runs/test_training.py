@@ -1,8 +1,6 @@
 from __future__ import annotations
 
-import os
 import shutil
-import signal
 import subprocess
 import sys
 import time
@@ -168,7 +166,7 @@ def test_a_killed_process_can_be_resumed(finished, tmp_path):
     while not (folder / "checkpoint" / "snapshot.safetensors").exists() and time.monotonic() < deadline:
         assert process.poll() is None
         time.sleep(0.01)
-    os.kill(process.pid, signal.SIGKILL)
+    process.kill()
     process.wait()
     assert not (folder / "manifest.json").exists()
     train.discover(tiny(), folder, resume=True)

@@ -25,11 +25,6 @@ from murmurate.runs.grid import MAX_RUNS
 from murmurate.runs.jobs import Job, JobStatus, initial_statuses
 from murmurate.runs.live_table import LiveTable
 
-try:
-    import fcntl
-except ImportError:  # not a POSIX system: folders are not locked
-    fcntl = None
-
 __all__ = [
     "Batch",
     "Executor",
@@ -94,15 +89,13 @@ def locked(folder: Path) -> Iterator[None]:
     Raises:
         RunError: Another one works there, or the folder cannot be written to.
     """
-    with files.os_errors_as_run_errors(f"cannot write to {folder}"):
-        folder.mkdir(parents=True, exist_ok=True)
-        lock = untrusted.append(folder / ".lock")
-    with lock:
-        try:
-            if fcntl is not None:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise RunError(f"{folder}: another command is at work there") from None
+    with contextlib.ExitStack() as stack:
+        with files.os_errors_as_run_errors(f"cannot write to {folder}"):
+            folder.mkdir(parents=True, exist_ok=True)
+            try:
+                stack.enter_context(untrusted.locked(folder / ".lock"))
+            except BlockingIOError:
+                raise RunError(f"{folder}: another command is at work there") from None
         yield
 
 

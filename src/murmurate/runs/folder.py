@@ -19,7 +19,6 @@ followed, and the manifest has the checksums of all files, whose names are a fix
 from __future__ import annotations
 
 import contextlib
-import errno
 import math
 import os
 import shutil
@@ -40,11 +39,6 @@ from murmurate.runs import experiment as configuration
 from murmurate.runs import files
 from murmurate.runs.experiment import EXPERIMENT, STARTS, ExperimentConfig
 from murmurate.types import Trajectories
-
-try:
-    import fcntl
-except ImportError:  # not a POSIX system: runs are not locked
-    fcntl = None
 
 __all__ = ["MAX_EPISODES", "Checkpoint", "FolderState", "RunFolder", "describe_starts", "is_fresh", "trained_checksums"]
 
@@ -73,8 +67,6 @@ _EVALUATED = (EVALUATION, TRAJECTORIES, RECORD)
 
 FolderState = Literal["new", "unfinished", "finished"]
 """What a folder holds: nothing yet, a run whose training can be continued, or a finished run."""
-
-_NO_LOCKS = (errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS, errno.EINVAL)
 
 _FRACTIONS = ("valid", "contact_free", "inside", "mutually_visible", "gathered", "safe", "at_rest")
 _STEPS = ("base_steps", "auxiliary_steps", "total_steps", "bound_steps")
@@ -196,22 +188,14 @@ class RunFolder:
         """
         path = self._inside(LOCK)
         with contextlib.ExitStack() as stack:
-            while True:
-                with files.os_errors_as_run_errors(f"cannot write {path}"):
-                    file = stack.enter_context(untrusted.append(path))
-                if not _acquire(file):
-                    raise RunError(f"{self.path} is in use: another process trains this run")
-                # The process that held the lock may have removed the file in the meantime: then it locks nothing.
-                with contextlib.suppress(OSError):
-                    if os.path.samestat(os.fstat(file.fileno()), path.stat()):
-                        break
+            with files.os_errors_as_run_errors(f"cannot write {path}"):
+                try:
+                    stack.enter_context(untrusted.locked(path))
+                except BlockingIOError:
+                    raise RunError(f"{self.path} is in use: another process trains this run") from None
             for name in (".", "policies", CHECKPOINT):  # of a process that was killed here
                 files.remove_partial(self._inside(name))
-            try:
-                yield
-            finally:
-                with contextlib.suppress(OSError):
-                    path.unlink()
+            yield
 
     # Configuration and manifest
 
@@ -669,17 +653,6 @@ def describe_starts(summary: Mapping[str, Any]) -> str:
     """
     starts = summary["starts"]
     return f"starts of {starts['name']}" if starts["kind"] == "file" else f"{starts['kind']} starts"
-
-
-def _acquire(file: Any) -> bool:
-    """Locks an open file without waiting; returns whether it is ours. A file system without locks counts as locked."""
-    if fcntl is None:
-        return True
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError as error:
-        return error.errno in _NO_LOCKS
-    return True
 
 
 def _policy_files(count: int) -> list[str]:

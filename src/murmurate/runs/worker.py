@@ -24,15 +24,13 @@ from typing import Any
 from murmurate import compilation_cache, untrusted
 from murmurate.errors import InputError, RunError, one_line
 
-try:
-    import fcntl
-except ImportError:  # not a POSIX system: a worker does not wait for another one
-    fcntl = None
-
 __all__ = ["LOG", "end_reason", "start_process", "work"]
 
 LOG = "worker.log"
 """What a worker writes on stderr, in the job's folder; removed when the job is finished."""
+
+LOCK = ".worker.lock"
+"""What the worker at a job locks, in the job's folder."""
 
 MAX_LOG_BYTES = 1 << 24
 
@@ -61,16 +59,22 @@ def start_process(
             stdin=subprocess.PIPE,
             stdout=log,
             stderr=log,
-            start_new_session=True,  # Ctrl-C is for the driver, which ends its workers
+            # Ctrl-C is for the driver, which ends its workers. The second is the first for Windows.
+            start_new_session=True,
+            creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),
         )
 
 
 def end_reason(status: int, folder: Path) -> str:
-    """Returns why a worker ended, by its exit status and the last line of its log; "" when it did its job."""
+    """Returns why a worker ended, by its exit status and the last line of its log; "" when it did its job.
+
+    The log of a job that is done is removed.
+    """
     if status < 0:
         with contextlib.suppress(ValueError):
             return f"killed by {signal.Signals(-status).name}"
     if status == 0:
+        _remove_log(folder)
         return ""
     try:
         lines = untrusted.read(folder / LOG, MAX_LOG_BYTES).decode(errors="replace").split("\n")
@@ -96,6 +100,7 @@ def work(spec: str, threads: int = 1, gpus: int = 0) -> str:
     folder = Path(json.loads(spec)["folder"])
     _set_environment(threads, gpus)
     try:
+<<<<<<< HEAD
         untrusted.detach(folder / LOG, MAX_LOG_BYTES)
         with untrusted.append(folder / LOG) as log:
             if fcntl is not None:
@@ -106,9 +111,25 @@ def work(spec: str, threads: int = 1, gpus: int = 0) -> str:
             log.write(f"{reason}\n".encode(errors="replace"))
         if not reason:
             (folder / LOG).unlink(missing_ok=True)
+=======
+        with untrusted.locked(folder / LOCK, wait=True):
+            with untrusted.append(folder / LOG) as log:
+                log.truncate(0)
+                with _stderr_to(log.fileno()):
+                    reason = _run(spec)
+                log.write(f"{reason}\n".encode(errors="replace"))
+            if not reason:
+                _remove_log(folder)
+>>>>>>> port
     except OSError as error:
         return f"{folder}: {error.strerror or error}"
     return reason
+
+
+def _remove_log(folder: Path) -> None:
+    """Removes the log of a job that is done."""
+    with contextlib.suppress(OSError):  # Windows removes no file that is open: the driver tries again after the worker
+        (folder / LOG).unlink(missing_ok=True)
 
 
 def _set_environment(threads: int, gpus: int) -> None:

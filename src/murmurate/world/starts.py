@@ -471,7 +471,7 @@ def draw_starts(
         return points
     part = _part_redraws(count, world.robots)
     for first in range(part, _max_redraws(count, world.robots), part):
-        _, still = jax.device_get(_draw_part(*arguments, np.int32(first)))
+        _, still = jax.device_get(_draw_part(*arguments, jnp.asarray(first, jnp.int32)))
         overlapping = overlapping & still
         if not overlapping.any():
             break
