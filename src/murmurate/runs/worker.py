@@ -100,19 +100,8 @@ def work(spec: str, threads: int = 1, gpus: int = 0) -> str:
     folder = Path(json.loads(spec)["folder"])
     _set_environment(threads, gpus)
     try:
-<<<<<<< HEAD
-        untrusted.detach(folder / LOG, MAX_LOG_BYTES)
-        with untrusted.append(folder / LOG) as log:
-            if fcntl is not None:
-                fcntl.flock(log, fcntl.LOCK_EX)
-            log.truncate(0)
-            with _stderr_to(log.fileno()):
-                reason = _run(spec)
-            log.write(f"{reason}\n".encode(errors="replace"))
-        if not reason:
-            (folder / LOG).unlink(missing_ok=True)
-=======
         with untrusted.locked(folder / LOCK, wait=True):
+            untrusted.detach(folder / LOG, MAX_LOG_BYTES)
             with untrusted.append(folder / LOG) as log:
                 log.truncate(0)
                 with _stderr_to(log.fileno()):
@@ -120,7 +109,6 @@ def work(spec: str, threads: int = 1, gpus: int = 0) -> str:
                 log.write(f"{reason}\n".encode(errors="replace"))
             if not reason:
                 _remove_log(folder)
->>>>>>> port
     except OSError as error:
         return f"{folder}: {error.strerror or error}"
     return reason
