@@ -2,9 +2,10 @@ from __future__ import annotations
 
 import json
 
+import numpy as np
 import pytest
 
-from murmurate.analysis.optimum.best_known import BestKnown, load
+from murmurate.analysis.optimum.best_known import BestKnown, best_known, load
 from murmurate.cli.main import main
 
 SHORT = ["--annealing.chains", "16", "--annealing.moves_per_robot", "150", "--polished", "3"]
@@ -30,6 +31,18 @@ def test_a_search_stands_beside_what_is_known(tmp_path, capsys):
     assert entry.target.is_valid(entry.positions)
     assert main([*words, "--out", str(out)]) == 2
     assert f"{out} is there already" in capsys.readouterr().err
+
+
+def test_how_much_is_missing_is_in_percent_of_the_best_known(capsys):
+    from murmurate.analysis.optimum.search import Formation, OptimumConfig
+    from murmurate.cli import optimum
+    from murmurate.runs import presets
+
+    experiment = presets.resolve("C")
+    config = OptimumConfig(experiment.world, experiment.objective)
+    known = best_known(config.target)
+    optimum._print_comparison(config, Formation(np.zeros((10, 2)), 0.985 * known, valid=False))
+    assert capsys.readouterr().out == f"best known: {known:.7f}; this one is 1.5% short of it\n"
 
 
 def test_where_no_pattern_is_valid_it_says_so(capsys):

@@ -86,6 +86,23 @@ def test_without_its_extra_an_example_is_one_line_and_status_2(name, package, ex
     assert f'pip install "murmurate[{extra}]"' in err
 
 
+@pytest.mark.parametrize(("content", "reason"), [(None, "File doesn't exist"), (b"text", "Protobuf parsing failed")])
+def test_an_example_whose_file_is_missing_or_damaged_is_one_line_and_status_2(
+    content, reason, tmp_path, monkeypatch, capsys
+):
+    pytest.importorskip("onnxruntime")
+    path = tmp_path / "model.onnx"
+    if content is not None:
+        path.write_bytes(content)
+    monkeypatch.setattr(sys, "argv", ["onnx_robots.py", str(path)])
+    with pytest.raises(SystemExit) as stop:
+        runpy.run_path(str(EXAMPLES / "onnx_robots.py"), run_name="__main__")
+    out, err = capsys.readouterr()
+    assert (stop.value.code, out, err.count("\n")) == (2, "", 1)
+    assert err.startswith(f"onnx_robots.py: cannot open {path}: ")
+    assert reason in err
+
+
 @pytest.mark.parametrize("words", [[], ["model.onnx", "many"]])
 def test_an_example_without_its_arguments_is_one_line_and_status_2(words, monkeypatch, capsys):
     pytest.importorskip("onnxruntime")

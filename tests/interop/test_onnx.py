@@ -73,13 +73,13 @@ def act(policy, positions):
     return policy(positions)
 
 
-@pytest.mark.parametrize("robots", [2, 3, ROBOTS, 11])
+@pytest.mark.parametrize("robots", [1, 2, 3, ROBOTS, 11])
 def test_one_policy_serves_any_swarm_and_is_ours_to_1e_5(one_policy, robots):
     policy, model = one_policy
     positions = configurations(robots, STATES)
     (theirs,) = model.session().run(None, {"positions": positions})
     ours = np.moveaxis(act(policy, np.moveaxis(positions, 0, -1)), -1, 0)
-    assert np.abs(ours).max() > 0.1
+    assert np.abs(ours).max() > 0.1 or robots == 1  # alone, and without a point to gather at, a robot stays
     np.testing.assert_allclose(theirs, ours, atol=1e-5)
 
 
@@ -241,14 +241,14 @@ def test_a_batch_may_be_empty(equivariant):
 
 
 @pytest.mark.filterwarnings("default")
-def test_a_swarm_that_is_too_large_is_refused_by_the_name_of_the_bound(equivariant):
+@pytest.mark.parametrize("robots", [1, programs.MAX_ROBOTS + 1])
+def test_a_swarm_that_is_too_small_or_too_large_is_refused_by_the_name_of_the_bounds(equivariant, robots):
     session = equivariant[1].session()
     memory = np.zeros((1, session.get_inputs()[1].shape[1]), np.float32)
-    positions = configurations(programs.MAX_ROBOTS + 1, 1)
-    with pytest.raises(Exception, match="Name:'at_most_256_robots'"):
-        session.run(None, {"positions": positions, "memory": memory})
+    with pytest.raises(Exception, match="Name:'2_to_256_robots'"):
+        session.run(None, {"positions": configurations(robots, 1), "memory": memory})
     about = session.get_modelmeta().custom_metadata_map
-    assert about["largest_swarm"] == "256"
+    assert (about["smallest_swarm"], about["largest_swarm"]) == ("2", "256")
     assert "largest_swarm" not in local("C1", False)[1].session().get_modelmeta().custom_metadata_map
 
 
@@ -319,6 +319,9 @@ def test_the_example_runs_a_cascade_to_rest(equivariant, tmp_path, capsys):
     (tmp_path / "swarm.onnx").write_bytes(equivariant[1].data)
     assert module.main(str(tmp_path / "swarm.onnx"), 7).shape == (7, 2)
     assert "7 robots at rest" in capsys.readouterr().out
-    with pytest.raises(SystemExit, match="swarms of at most 256 robots"):
-        module.main(str(tmp_path / "swarm.onnx"), 257)
+    for robots in (1, 257):
+        with pytest.raises(SystemExit) as stop:
+            module.main(str(tmp_path / "swarm.onnx"), robots)
+        line = f"onnx_robots.py: {tmp_path / 'swarm.onnx'} is for swarms of 2 to 256 robots\n"
+        assert (stop.value.code, capsys.readouterr()) == (2, ("", line))
     assert "jax" not in path.read_text().split('"""')[2]

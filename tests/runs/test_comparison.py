@@ -11,12 +11,14 @@ import pytest
 
 from murmurate.discovery import Cascade
 from murmurate.errors import InputError, RunError
-from murmurate.runs import comparison, comparison_page
+from murmurate.runs import comparison, comparison_page, live_table
 from murmurate.runs.comparison import Comparison, Condition, ConditionJob, compare, conditions
 from murmurate.runs.execute import LocalProcesses
+from murmurate.runs.jobs import JobStatus
 from murmurate.runs.run import Run
 from tiny import tiny
 
+ROOT = Path(__file__).parents[2]
 NAMES = ["learned", "circle", "random", "circle-central"]
 
 
@@ -102,17 +104,46 @@ class StandStill(Baseline):
 """
 
 
-def test_a_baseline_of_ones_own_is_compared_here_and_in_a_process(setting, runs, tmp_path, monkeypatch):
+def test_a_baseline_of_ones_own_is_compared_here_and_in_a_process(setting, runs, tmp_path, monkeypatch, capsys):
     (tmp_path / "still.py").write_text(BASELINE)
     monkeypatch.syspath_prepend(tmp_path)
     wanted = conditions(["still:StandStill"], ["visible"], ["fsync"], [3], known=NAMES)
     setting = replace(setting, episodes=4)
     here = compare(setting, wanted, runs, tmp_path / "here")
-    there = compare(setting, wanted, runs, tmp_path / "there", LocalProcesses(1))
+    assert capsys.readouterr() == ("", "")
+    there = compare(setting, wanted, runs, tmp_path / "there", LocalProcesses(1), quiet=False)
     assert here == there
+    line = f"1 of 1: still:StandStill, visible, fsync, random, N = 3: {here[0]['valid'] / 4:.1%} valid\n"
+    assert capsys.readouterr().out == line
     assert [(row["method"], row["collisions"], row["left"]) for row in here] == [("still:StandStill", 0, 0)]
     assert comparison.sorted_rows(tmp_path / "there") == there
     assert [path.name for path in (tmp_path / "there").iterdir()] == [comparison.COMPARISON]
+
+
+def test_the_driver_of_workers_reads_how_far_each_condition_is(setting, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(live_table, "DRAW_SECONDS", 0.0)
+    monkeypatch.setattr(comparison, "_evaluate", lambda *args: args[-1]("episodes", 512, 1000, steps="step 9") or {})
+    job = ConditionJob(tmp_path, setting, Condition("random", "visible", "fsync", 3))
+    assert job.progress() is None
+    table = live_table.LiveTable([job], {job.name: JobStatus("running", 1)})
+    table.draw()
+    job.run()
+    table.draw()
+    table.draw()
+    assert capsys.readouterr() == ("", "random, visible, fsync, random, N = 3: episodes: 512/1000\n")
+
+
+def test_gaps_are_in_percent_of_the_best_known(tmp_path):
+    data = json.loads((ROOT / "docs" / "comparison" / "comparison.json").read_text())
+    row = next(row for row in data["rows"] if (row["method"], row["robots"]) == ("circle", 8))
+    data["rows"] = [{**row, "gap": 0.0391}, {**row, "robots": 10, "gap": 0.0391, "best_known": 3.91}, row | UNKNOWN]
+    (tmp_path / comparison.COMPARISON).write_text(json.dumps(data))
+    rows = comparison.load(tmp_path)["rows"]
+    assert rows[0]["best_known"] == pytest.approx(3.9, abs=0.05)  # as an older version wrote it
+    assert [cells[-1] for cells in comparison_page.table_rows(rows)] == ["1.00%", "1.00%", "-"]
+
+
+UNKNOWN = {"robots": 64, "best_known": None, "gap": None}
 
 
 @pytest.mark.parametrize(

@@ -115,6 +115,6 @@ def _print_comparison(config: OptimumConfig, best: Formation) -> None:
     elif best.value > known + RECORD_MARGIN:
         print(f"best known: {known:.7f}; this one is better")
     elif best.value < known - RECORD_MARGIN:
-        print(f"best known: {known:.7f}; this one is {known - best.value:.2g} short of it")
+        print(f"best known: {known:.7f}; this one is {100 * (known - best.value) / known:.2g}% short of it")
     else:
         print(f"best known: {known:.7f}; this one equals it")

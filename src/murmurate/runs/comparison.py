@@ -6,6 +6,7 @@ A comparison is a grid of conditions. Each is a job (see `execute`), whose resul
 from __future__ import annotations
 
 import contextlib
+import functools
 import hashlib
 import itertools
 import re
@@ -43,7 +44,7 @@ from murmurate.runs.evaluate import wilson
 from murmurate.runs.execute import Executor, InProcess, locked, run_jobs
 from murmurate.runs.experiment import ExperimentConfig, check_seed, make_importer
 from murmurate.runs.folder import trained_checksums
-from murmurate.runs.jobs import Job
+from murmurate.runs.jobs import Job, Progress
 from murmurate.runs.run import MAX_EPISODES, Run
 from murmurate.world import (
     MAX_ROBOTS,
@@ -58,6 +59,7 @@ from murmurate.world import (
     VisibleSensing,
     WorldConfig,
     draw_starts,
+    scaled_to,
 )
 
 __all__ = [
@@ -110,7 +112,7 @@ MAX_PAIRS = 2**18
 JOBS = ".conditions"
 """Where jobs work, in the folder of the comparison; removed when they are done."""
 
-ROW = "row.json"
+ROW, PROGRESS = "row.json", "progress.json"
 _HELD_OUT = 2**31 + 1
 
 
@@ -333,8 +335,20 @@ class ConditionJob(Job):
     def run(self, on_progress: Any = None) -> None:
         """See `Job`."""
         self.prepare()
-        row = _evaluate(self.comparison, self.condition, self._policies(), on_progress)
+        # In a worker process nobody listens: the driver reads how far it is from the folder.
+        row = _evaluate(self.comparison, self.condition, self._policies(), on_progress or self._write_progress)
         files.write_json(self.folder / ROW, row)
+
+    def _write_progress(self, work: str, done: int, total: int, **_: Any) -> None:
+        files.write_json(self.folder / PROGRESS, {"work": work, "done": done, "total": total})
+
+    def progress(self) -> Progress | None:
+        """See `Job`."""
+        path = self.folder / PROGRESS
+        if not path.is_file():
+            return None
+        known = files.read_json(path)
+        return Progress(known["work"], known["done"], known["total"], None, None, None)
 
     def _policies(self) -> tuple[Any, ...]:
         if self.learned is not None:
@@ -382,12 +396,23 @@ def load(folder: str | Path) -> dict[str, Any]:
         raise RunError(f"{path} is damaged: its commands are not those of murmurate compare")
     if not isinstance(comparison.setdefault("weights", {}), dict):
         raise RunError(f"{path} is damaged: its weights are not named")
+    known = functools.cache(functools.partial(_best_known, comparison))
     for number, row in enumerate(rows, 1):
         wrong = _wrong_field(row)
         if wrong is not None:
             value = row.get(wrong) if isinstance(row, dict) else row
             raise RunError(f"{path} is damaged: row {number} has {wrong} = {shown(value)}")
+        if "best_known" not in row:  # version 0.1.0 wrote the gap alone
+            row["best_known"] = known(row["robots"])
     return comparison
+
+
+def _best_known(comparison: Mapping[str, Any], robots: int) -> float | None:
+    """Returns the objective of the best-known pattern of a comparison that was read; None where none is known."""
+    try:
+        return best_known(Target(scaled_to(WorldConfig(**comparison["world"]), robots), comparison["objective"]))
+    except (InputError, KeyError, TypeError):
+        return None
 
 
 def _is_command(value: Any) -> bool:
@@ -408,8 +433,9 @@ def _wrong_field(row: Any) -> str | None:
             return name
     if not isinstance(row.get("method"), str) or not 0 < len(row["method"]) <= 255:
         return "method"
-    for name in ("steps", "epochs", "efficiency", "gap"):
-        if name not in row or not (row[name] is None or files.is_number(row[name])):
+    for name in ("steps", "epochs", "efficiency", "gap", "best_known"):
+        value = row.get(name, None if name == "best_known" else "")
+        if value is not None and not files.is_number(value):
             return name
     interval, worst = row.get("interval"), row.get("worst")
     if not isinstance(interval, list) or len(interval) != 2 or not all(map(_is_share, interval)):
@@ -506,11 +532,10 @@ def _read_rows(path: Path, settings: Mapping[str, Any]) -> dict[Condition, dict[
 
 @prng.reproducible()
 def _evaluate(
-    comparison: Comparison, condition: Condition, policies: tuple[Any, ...], on_progress: Any = None
+    comparison: Comparison, condition: Condition, policies: tuple[Any, ...], report: Callable[..., None]
 ) -> dict[str, Any]:
     """Runs a method under one condition, and returns its row of the table."""
     problem, parts, done = comparison.problem(condition), [], 0
-    report = on_progress or (lambda *_, **__: None)
     for batch in _rollouts(comparison, problem, policies, condition.start, report):
         parts.append(_measure(problem, batch))
         done += len(batch.lengths)
@@ -540,6 +565,7 @@ def _evaluate(
         "steps": mean("steps"),
         "epochs": mean("epochs"),
         "efficiency": mean("efficiency"),
+        "best_known": known,
         "gap": None if known is None or value is None else known - value,
         "worst": [{"positions": joined["final"][i].round(3).tolist(), "free": bool(joined["free"][i])} for i in worst],
     }

@@ -7,7 +7,7 @@ from typing import Any
 
 from murmurate.errors import printable
 from murmurate.runs import escape
-from murmurate.runs.table import NONE, Row, as_markdown
+from murmurate.runs.table import NONE, Row, as_markdown, gap
 
 __all__ = ["HEADER", "kept", "page", "put_into", "table_rows", "tables"]
 
@@ -42,7 +42,7 @@ def table_rows(rows: Iterable[Mapping[str, Any]]) -> list[Row]:
             _number(row["steps"], "{:.1f}"),
             _number(row["epochs"], "{:.1f}"),
             _number(row["efficiency"], "{:.2f}"),
-            _number(row["gap"], "{:.4f}"),
+            gap(row),
         )
         for row in rows
     ]
@@ -99,8 +99,8 @@ def page(
         "and the same step budget. Robots have directions and handedness of their own; only",
         "`circle-central` has a common frame and all positions. Episodes that failed *collided*, *left* the world, had",
         "robots *hidden* from each other at the end, or were *not at rest*; an episode may count in several columns.",
-        "Steps, epochs and efficiency (kinematic bound over steps) are means over the valid episodes. The gap is to",
-        "the best-known pattern, where there is one.",
+        "Steps, epochs and efficiency (kinematic bound over steps) are means over the valid episodes, and so is the",
+        "gap: how far the objective is below that of the best-known pattern, where there is one, in percent of it.",
         "",
         tables(rows),
         *(f"- {note}" for note in notes),

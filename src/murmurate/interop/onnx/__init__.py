@@ -138,7 +138,7 @@ def export(run: Run, index: int | None = None, opset: int = OPSET) -> Model:
     assert isinstance(proto, ModelProto)
     proto.ir_version = min(proto.ir_version, OP_SET_ID_VERSION_MAP["ai.onnx", opset])
     _take_zeros_at_their_word(proto)
-    _name_largest_swarm(proto)
+    _name_swarm_sizes(proto)
     for name, text in program.metadata.items():
         proto.metadata_props.add(key=name, value=text)
     return Model(proto.SerializeToString(), program)
@@ -151,8 +151,8 @@ def _take_zeros_at_their_word(proto: ModelProto) -> None:
             node.attribute.append(make_attribute("allowzero", 1))
 
 
-def _name_largest_swarm(proto: ModelProto) -> None:
-    """States the largest swarm, where there is a bound: in the metadata, and as the name of the node that fails.
+def _name_swarm_sizes(proto: ModelProto) -> None:
+    """States the smallest and the largest swarm, where there are bounds: as metadata, and in the name of what fails.
 
     A runtime's error says nothing but which operation failed, and the name of that one.
     """
@@ -161,7 +161,8 @@ def _name_largest_swarm(proto: ModelProto) -> None:
         if looked_up.isdisjoint(node.input):
             continue
         if node.op_type == "Squeeze":
-            node.name = f"at_most_{programs.MAX_ROBOTS}_robots"
+            node.name = f"{programs.MIN_ROBOTS}_to_{programs.MAX_ROBOTS}_robots"
+            proto.metadata_props.add(key="smallest_swarm", value=str(programs.MIN_ROBOTS))
             proto.metadata_props.add(key="largest_swarm", value=str(programs.MAX_ROBOTS))
             return
         looked_up.update(node.output)
@@ -218,7 +219,7 @@ def _samples(
             yield _views_and_velocities(run, program, count, rng)
             continue
         inputs = _random_inputs(run, program, size, count, rng)
-        outputs = program.compiled(*map(jnp.asarray, inputs.values()))
+        outputs = program.jitted(*map(jnp.asarray, inputs.values()))
         if program.policy is not None and size == robots:
             outputs = (_velocities(run, program.policy, inputs["positions"]),)
         yield inputs, outputs

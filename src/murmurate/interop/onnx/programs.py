@@ -29,7 +29,10 @@ from murmurate.runs.run import Run
 from murmurate.types import Observation, View
 from murmurate.world import Configuration, Objective, WorldConfig
 
-__all__ = ["MAX_ROBOTS", "TABLE_SHAPE", "Program", "cascade_program", "objective", "policy_program"]
+__all__ = ["MAX_ROBOTS", "MIN_ROBOTS", "TABLE_SHAPE", "Program", "cascade_program", "objective", "policy_program"]
+
+MIN_ROBOTS = 2
+"""Smallest swarm that has an objective: a robot alone has neither neighbours nor distances."""
 
 MAX_ROBOTS = 256
 """Largest swarm for which a cascade for any number of robots works: its memory holds that swarm's window of rest."""
@@ -62,7 +65,7 @@ class Program:
     policy: int | None = None
 
     @functools.cached_property
-    def compiled(self) -> Callable[..., tuple[Array, ...]]:
+    def jitted(self) -> Callable[..., tuple[Array, ...]]:
         """The function, compiled once for each shape of its inputs."""
         return jax.jit(self.function)
 
@@ -196,8 +199,8 @@ class _Size(NamedTuple):
     window: Any
 
 
-TABLE_SHAPE = (MAX_ROBOTS - 1, len(_Size._fields))
-"""Shape of the table of everything that depends on the number of robots, from two on."""
+TABLE_SHAPE = (MAX_ROBOTS - MIN_ROBOTS + 1, len(_Size._fields))
+"""Shape of the table of everything that depends on the number of robots."""
 
 
 def _sizes(run: Run, foreign: Mapping[str, Strategy]) -> Callable[[Any], _Size]:
@@ -213,8 +216,14 @@ def _sizes(run: Run, foreign: Mapping[str, Strategy]) -> Callable[[Any], _Size]:
         fixed = size(experiment)
         return lambda robots: fixed
     # The number of robots is known when the model runs: it is looked up in a table.
-    table = np.array([size(experiment.of_size(robots)) for robots in range(2, MAX_ROBOTS + 1)], np.float32)
-    return lambda robots: _Size(*jnp.asarray(table)[jnp.asarray(robots) - 2])
+    table = np.array([size(experiment.of_size(robots)) for robots in range(MIN_ROBOTS, MAX_ROBOTS + 1)], np.float32)
+
+    def look_up(robots: Any) -> _Size:
+        index = jnp.asarray(robots) - MIN_ROBOTS
+        # A negative index would count from the end; behind the end, the model fails.
+        return _Size(*jnp.asarray(table)[jnp.where(index < 0, len(table), index)])
+
+    return look_up
 
 
 def _world(run: Run, size: _Size) -> WorldConfig:
