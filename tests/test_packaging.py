@@ -34,6 +34,37 @@ def test_what_is_installed_by_default_and_for_tests_is_pinned():
     assert {normalized(re.match(r"[\w.-]+", entry)[0]) for entry in wanted} <= names
 
 
+@pytest.mark.skipif(shutil.which("make") is None, reason="needs make")
+def test_make_installs_nothing_into_an_environment_that_has_what_is_needed(tmp_path):
+    """The environment here is a shell script, which has the packages that are named in a file, and notes what it ran."""
+    (tmp_path / "bin").mkdir()
+    python = tmp_path / "bin" / "python"
+    python.write_text(PYTHON)
+    python.chmod(0o755)
+
+    def installed(*packages):
+        for name in (".core", ".dev", "log"):
+            (tmp_path / name).unlink(missing_ok=True)
+        (tmp_path / "packages").write_text(" ".join(packages))
+        words = ["make", f"VENV={tmp_path}", f"PYTHON={python}", f"{tmp_path}/.dev"]
+        subprocess.run(words, cwd=ROOT, check=True, capture_output=True)
+        log = (tmp_path / "log").read_text().splitlines() if (tmp_path / "log").exists() else []
+        subprocess.run(words, cwd=ROOT, check=True, capture_output=True)  # the stamps are there: nothing is to be done
+        return [line.rpartition(" ")[2] for line in log if "-m venv" in line or "install" in line]
+
+    assert installed("murmurate", "pytest", "sphinx") == []
+    assert installed("murmurate") == [".[dev]"]
+    assert installed() == [str(tmp_path), ".", ".[dev]"]
+
+
+PYTHON = """#!/bin/sh
+folder="$(dirname "$0")/.."
+if [ "$1" = -m ]; then echo "$@" >> "$folder/log"; exit 0; fi
+shift 2
+for name in "$@"; do grep -qw "$name" "$folder/packages" || exit 1; done
+"""
+
+
 def test_constraints_are_versions_only():
     lines = (ROOT / "constraints.txt").read_text().splitlines()
     assert lines[1:] == sorted(lines[1:], key=str.lower)
