@@ -12,15 +12,17 @@ OUT ?= runs/$(EXPERIMENT)-equivariant-seed$(SEED)
 
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint $(CONSTRAINTS) --editable
 
+# An environment that was made by hand has no stamp, and needs no installation where it has the packages.
+has = [ ! -e $@ ] && $(BIN)/python -c 'import sys; [*map(__import__, sys.argv[1:])]' $(1) 2>/dev/null
+
 # What training, evaluation and figures need; then what tests, checks and documentation need besides.
 $(VENV)/.core: pyproject.toml $(CONSTRAINTS)
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "murmurate needs Python >= 3.11; set PYTHON=...")'
-	$(PYTHON) -m venv $(VENV)
-	$(INSTALL) .
+	$(call has,murmurate) || { $(PYTHON) -m venv $(VENV) && $(INSTALL) .; }
 	touch $@
 
 $(VENV)/.dev: $(VENV)/.core
-	$(INSTALL) '.[dev]'
+	$(call has,murmurate pytest sphinx) || $(INSTALL) '.[dev]'
 	touch $@
 
 # Exit status 5: the run is finished, with fewer valid patterns than asked for, which it says itself.
@@ -56,7 +58,7 @@ figures-docs: $(VENV)/.dev  ## draws the figures of docs/world.md again
 	$(BIN)/python docs/draw.py
 
 benchmark: $(VENV)/.dev  ## speed, limits and memory beside other projects (minutes); writes docs/benchmarks.md
-	$(INSTALL) '.[benchmark]'
+	$(BIN)/python -c 'import jaxmarl' 2>/dev/null || $(INSTALL) '.[benchmark]'
 	$(BIN)/python -m benchmarks --out docs/benchmarks.md --json docs/benchmarks.json --figure docs/figures/cost.png
 
 results: $(VENV)/.core  ## trains A-F with both policies and three seeds (hours); writes docs/results.md

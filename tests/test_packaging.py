@@ -59,6 +59,37 @@ def test_the_oldest_versions_are_those_that_the_project_allows():
         assert oldest == Version(bound.version) or (oldest is None and requirement.name in UNTRIED), requirement
 
 
+@pytest.mark.skipif(shutil.which("make") is None, reason="needs make")
+def test_make_installs_nothing_into_an_environment_that_has_what_is_needed(tmp_path):
+    """The environment here is a shell script, which has the packages that are named in a file, and notes what it ran."""
+    (tmp_path / "bin").mkdir()
+    python = tmp_path / "bin" / "python"
+    python.write_text(PYTHON, encoding="utf-8")
+    python.chmod(0o755)
+
+    def installed(*packages):
+        for name in (".core", ".dev", "log"):
+            (tmp_path / name).unlink(missing_ok=True)
+        (tmp_path / "packages").write_text(" ".join(packages), encoding="utf-8")
+        words = ["make", f"VENV={tmp_path}", f"PYTHON={python}", f"{tmp_path}/.dev"]
+        subprocess.run(words, cwd=ROOT, check=True, capture_output=True)
+        log = (tmp_path / "log").read_text(encoding="utf-8").splitlines() if (tmp_path / "log").exists() else []
+        subprocess.run(words, cwd=ROOT, check=True, capture_output=True)  # the stamps are there: nothing is to be done
+        return [line.rpartition(" ")[2] for line in log if "-m venv" in line or "install" in line]
+
+    assert installed("murmurate", "pytest", "sphinx") == []
+    assert installed("murmurate") == [".[dev]"]
+    assert installed() == [str(tmp_path), ".", ".[dev]"]
+
+
+PYTHON = """#!/bin/sh
+folder="$(dirname "$0")/.."
+if [ "$1" = -m ]; then echo "$@" >> "$folder/log"; exit 0; fi
+shift 2
+for name in "$@"; do grep -qw "$name" "$folder/packages" || exit 1; done
+"""
+
+
 @pytest.mark.parametrize("constraints", CONSTRAINTS)
 def test_constraints_are_versions_only(constraints):
     lines = (ROOT / constraints).read_text(encoding="utf-8").splitlines()

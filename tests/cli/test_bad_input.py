@@ -81,7 +81,7 @@ def contents(folder):
         ("evaluate none --episodes 0", "episodes = 0: must be an integer >= 1 and <= 10000"),
         ("evaluate none --episodes many", "--episodes = 'many': must be an integer"),
         ("discover C --from none", "none holds no run"),
-        ("discover C --from none --seeds 2", "--from is for one run: give it without --seeds and --vary"),
+        ("discover C --from none --seeds 2", "none holds no run"),
         ("evaluate none --seed -1", "seed = -1: must be an integer from 0 to"),
         ("show none", "none holds no run"),
         ("show none none", "of several runs, only the patterns are drawn"),

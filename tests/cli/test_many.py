@@ -8,6 +8,7 @@ from safetensors.numpy import load_file
 
 from murmurate.cli.main import main
 from murmurate.runs.experiment import load
+from murmurate.runs.folder import RunFolder
 
 
 def discover(tiny_toml, out, *words):
@@ -75,6 +76,25 @@ def test_fields_vary_with_every_seed(tiny_toml, tmp_path, capsys):
         (0.8, 7, 3),
         (0.9, 7, 3),
     }
+
+
+def test_each_begins_with_the_policies_of_one_run(tiny_toml, discovered, tmp_path, capsys):
+    words = ["--from", str(discovered), "--vary", "base.horizon=7,8"]
+    assert discover(tiny_toml, tmp_path, *words) in (0, 3)
+    folders = [RunFolder(tmp_path / f"tiny-central-seed0-horizon{horizon}") for horizon in (7, 8)]
+    checksums = RunFolder(discovered).manifest()["checksums"]
+    for folder in folders:
+        initial = folder.manifest()["initial"]
+        assert (initial["experiment"], initial["seed"]) == ("tiny", 0)
+        assert initial["checksums"].items() <= checksums.items()
+    capsys.readouterr()
+    # What does not fit is refused before anything is trained.
+    assert discover(tiny_toml, tmp_path / "shapes", *words, "--policy.hidden", "4,4") == 2
+    assert "the base policy to begin with has " in capsys.readouterr().err
+    assert not (tmp_path / "shapes").exists()
+    other = [*words[2:], "--from", str(folders[0].path), "--resume"]
+    assert discover(tiny_toml, tmp_path, *other) == 2
+    assert "did not begin with the policies of" in capsys.readouterr().err
 
 
 def test_no_valid_pattern_in_any_of_them_is_status_3(tiny_toml, tmp_path, capsys):

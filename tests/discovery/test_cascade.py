@@ -14,7 +14,6 @@ import murmurate
 from murmurate import prng
 from murmurate.discovery import Cascade, RestRule, check_validity
 from murmurate.discovery import cascade as cascade_module
-from murmurate.discovery.cascade import tile_episodes
 from murmurate.errors import InputError
 from murmurate.policies.baselines import Baseline
 from murmurate.world import (
@@ -27,6 +26,7 @@ from murmurate.world import (
     World,
     WorldConfig,
     draw_starts,
+    episodes_at_once,
     with_array_leaves,
 )
 from oracles import signals as oracle
@@ -87,7 +87,7 @@ def test_every_chunk_is_reported_and_may_end_the_rollout():
 
 def test_chunks_of_large_swarms_are_short_and_change_nothing(monkeypatch):
     whole = run([approach(5)], 5, 6, 10, 18)
-    monkeypatch.setattr(cascade_module, "CHUNK_TRIPLES", tile_episodes(2) * 2**3 * 4)
+    monkeypatch.setattr(cascade_module, "CHUNK_TRIPLES", episodes_at_once(2) * 2**3 * 4)
     told = []
     short = run([approach(5)], 5, 6, 10, 18, on_chunk=lambda *numbers: told.append(numbers))
     assert told == [(4, 30, 1), (8, 30, 2), (12, 30, 3), (16, 30, 3), (17, 30, 4)]
@@ -228,9 +228,9 @@ def test_an_episode_is_the_same_alone_and_in_company(asynchronous):
 def test_networks_move_a_swarm_alike_alone_and_in_company(tiny_run):
     """To the last bit, wherever the episode is in the batch, also in one that is executed in two parts."""
     run = murmurate.load(tiny_run("equivariant"))
-    starts = run.starts(tile_episodes(3) + 6, key=1)
+    starts = run.starts(episodes_at_once(3) + 6, key=1)
     together = run.cascade.rollout(starts)
-    for episode in (0, 5, tile_episodes(3), tile_episodes(3) + 5):
+    for episode in (0, 5, episodes_at_once(3), episodes_at_once(3) + 5):
         alone = run.cascade.rollout(starts[episode : episode + 1])
         length = alone.lengths[0]
         assert length == together.lengths[episode]
@@ -243,7 +243,7 @@ def test_networks_move_a_swarm_alike_alone_and_in_company(tiny_run):
 
 @pytest.mark.parametrize(("robots", "episodes"), [(2, 64), (8, 64), (16, 32), (30, 8), (90, 1), (2000, 1)])
 def test_what_is_executed_at_once_fits_in_a_cache(robots, episodes):
-    assert tile_episodes(robots) == episodes
+    assert episodes_at_once(robots) == episodes
 
 
 def test_the_dice_of_an_episode_depend_on_its_index_alone():

@@ -61,20 +61,18 @@ def run(argv: Sequence[str]) -> int:
     folders = _module_folders(options.config)
     config = presets.resolve(options.experiment, overlay, flags, learner=options.learner, folders=folders)
     name = f"{config.name}-{options.learner or config.policy.name}"
+    initial = None if options.initial is None else Run.open(options.initial, options.trust)
     if options.seeds is not None or options.vary:
-        if options.initial is not None:
-            raise UsageError("--from is for one run: give it without --seeds and --vary")
         from murmurate.cli.many import discover_many
         from murmurate.runs.grid import Grid
 
         grid = Grid.from_flags(config, name, options.seeds if options.seeds is not None else 1, options.vary)
         with _events(options.tensorboard) as events:
             out = Path(options.out or "runs")
-            return discover_many(grid, out, name, options.resume, options.together, events, options.quiet)
+            return discover_many(grid, out, name, options.resume, options.together, events, options.quiet, initial)
     if options.together is not None:
         raise UsageError("--together is for many runs: it needs --seeds or --vary")
     folder = RunFolder(options.out or Path("runs") / f"{name}-seed{config.seed}")
-    initial = None if options.initial is None else Run.open(options.initial, options.trust)
     try:
         if not sharding.is_first():
             discover(config, folder.path, options.resume, initial=initial)
@@ -108,7 +106,7 @@ def _parser(word: str | None, argv: Sequence[str]) -> Parser:
     text = "training preset (default: that of the policy)"
     parser.add_argument("--learner", metavar=f"{{{names}}}", help=text)
     parser.add_argument("--resume", action="store_true", help="continue the run that the folder holds")
-    text = "begin with the policies of this run, of the same shapes, instead of new ones"
+    text = "begin with the policies of this run, of the same shapes, instead of new ones; with --seeds, each of them"
     parser.add_argument("--from", dest="initial", metavar="RUN", help=text)
     text = "import the modules that the run of --from names, which executes them"
     parser.add_argument("--trust", action="store_true", help=text)

@@ -13,6 +13,8 @@ from murmurate.runs.execute import InProcess, run_jobs
 from murmurate.runs.folder import RunFolder
 from murmurate.runs.grid import Grid
 from murmurate.runs.jobs import training_jobs
+from murmurate.runs.run import Run
+from murmurate.runs.train import check_initial
 
 __all__ = ["discover_many"]
 
@@ -25,6 +27,7 @@ def discover_many(
     together: int | None = None,
     on_metrics: Callable[[Path], None] | None = None,
     quiet: bool = False,
+    initial: Run | None = None,
 ) -> int:
     """Trains the runs of a grid, each in a folder of its own, and catalogues the patterns that they found.
 
@@ -36,6 +39,7 @@ def discover_many(
         together: How many train side by side in one program; by default all on an accelerator, and one on a CPU.
         on_metrics: See `train.discover`.
         quiet: Do not show the progress.
+        initial: A run whose policies those of every run begin with.
 
     Returns:
         0; 3 when no valid pattern was discovered; 5 when no run discovered as many as its discovery.required_valid asks
@@ -43,7 +47,7 @@ def discover_many(
 
     Raises:
         InputError: `together` is out of bounds.
-        RunError: A folder holds something else, or cannot be written to.
+        RunError: A folder holds something else, or cannot be written to, or the policies of `initial` do not fit.
     """
     from murmurate.cli.catalogue import show
 
@@ -52,8 +56,10 @@ def discover_many(
     for run, state in grid.check(out, resume=resume).items():
         if state == "finished" and on_metrics is not None:
             on_metrics(out / run)
+    if initial is not None:
+        check_initial({out / run: config for run, config in grid.runs.items()}, resume, initial)
     try:
-        run_jobs(training_jobs(grid, out, on_metrics), InProcess(together), quiet=quiet)
+        run_jobs(training_jobs(grid, out, on_metrics, initial), InProcess(together), quiet=quiet)
     except KeyboardInterrupt:
         raise KeyboardInterrupt("interrupted; add --resume to the same command to go on") from None
     print(table.as_markdown(*table.side_by_side(folders, trust=True)), end="")

@@ -15,21 +15,15 @@ from jaxtyping import Array, Bool, Float, Int, UInt32
 from murmurate import prng
 from murmurate.errors import MAX_INTEGER, MAX_MAGNITUDE, InputError, check_function, check_number
 from murmurate.types import Trajectories
-from murmurate.world import World, Wrapper, checked_starts
+from murmurate.world import World, Wrapper, checked_starts, episodes_at_once
 
-__all__ = ["Cascade", "RestRule", "tile_episodes"]
+__all__ = ["Cascade", "RestRule"]
 
 CHUNK = 50
 """Steps between two checks whether every episode has ended, at most."""
 
 CHUNK_TRIPLES = 1 << 28
 """Triples of robots in all steps of a chunk of two or more, about: they take seconds, and nothing interrupts them."""
-
-TILE_PAIRS = 1 << 13
-"""Pairs of robots in the episodes that are executed at once: what is computed of each pair fits in a core's cache."""
-
-TILE_EPISODES = 64
-"""Episodes that are executed at once, at most."""
 
 
 @dataclass(frozen=True)
@@ -116,7 +110,7 @@ class Cascade(eqx.Module):
     ) -> Trajectories:
         """Executes the cascade from the given configurations, always with the most likely action.
 
-        Episodes are executed in batches of a fixed size, one after another: see `tile_episodes`.
+        Episodes are executed in batches of a fixed size, one after another: see `episodes_at_once`.
 
         Args:
             starts: One configuration for each episode.
@@ -136,23 +130,23 @@ class Cascade(eqx.Module):
         check_number("seed", seed, 0, prng.MAX_SEED, integer=True)
         check_function("on_chunk", on_chunk, "on_chunk(steps, max_steps, ended)")
         starts = np.asarray(starts, np.float32)
-        episodes, size = len(starts), tile_episodes(starts.shape[1])
+        episodes, size = len(starts), episodes_at_once(starts.shape[1])
         keys = np.asarray(_episode_key_data(jnp.asarray(seed, jnp.uint32), episodes))
         firsts = range(0, episodes, size)
         max_steps = self.rest.max_steps * len(self.policies) * len(firsts)
-        tiles: list[Trajectories] = []
+        batches: list[Trajectories] = []
 
         def report(steps: int, ended: int) -> None:
             if on_chunk is not None:
-                before = sum(int(tile.lengths.max()) for tile in tiles)
-                on_chunk(before + steps, max_steps, len(tiles) * size + ended)
+                before = sum(int(batch.lengths.max()) for batch in batches)
+                on_chunk(before + steps, max_steps, len(batches) * size + ended)
 
         for first in firsts:
             part = slice(first, first + size)
-            tiles.append(self._execute_tile(starts[part], keys[part], size, report))
-        return _concatenated(tiles)
+            batches.append(self._execute_batch(starts[part], keys[part], size, report))
+        return _concatenated(batches)
 
-    def _execute_tile(
+    def _execute_batch(
         self,
         starts: Float[np.ndarray, "episodes robots 2"],
         keys: UInt32[np.ndarray, "episodes two"],
@@ -189,19 +183,9 @@ class Cascade(eqx.Module):
         )
 
 
-def tile_episodes(robots: int) -> int:
-    """Returns how many episodes of a swarm of this size are executed at once, a power of two.
-
-    It is the same for any number of episodes. So each of them is computed alike whatever the others are, to the last
-    bit, and a program that was compiled for some episodes serves any number.
-    """
-    fitting = max(TILE_PAIRS // robots**2, 1)
-    return min(TILE_EPISODES, 1 << (fitting.bit_length() - 1))
-
-
-def _concatenated(tiles: Sequence[Trajectories]) -> Trajectories:
-    """Returns the episodes of all tiles; those of the shorter ones hold still until the end of the longest."""
-    steps = max(tile.positions.shape[1] for tile in tiles)
+def _concatenated(batches: Sequence[Trajectories]) -> Trajectories:
+    """Returns the episodes of all batches; those of the shorter ones hold still until the end of the longest."""
+    steps = max(batch.positions.shape[1] for batch in batches)
 
     def join(parts: Iterable[np.ndarray]) -> np.ndarray:
         return np.concatenate(
@@ -209,13 +193,13 @@ def _concatenated(tiles: Sequence[Trajectories]) -> Trajectories:
         )
 
     return Trajectories(
-        positions=join(tile.positions for tile in tiles),
-        lengths=np.concatenate([tile.lengths for tile in tiles]),
-        switch=np.concatenate([tile.switch for tile in tiles]),
-        at_rest=np.concatenate([tile.at_rest for tile in tiles]),
-        terminated=np.concatenate([tile.terminated for tile in tiles]),
-        signals={name: join(tile.signals[name] for tile in tiles) for name in tiles[0].signals},
-        epochs=np.concatenate([tile.epochs for tile in tiles]),
+        positions=join(batch.positions for batch in batches),
+        lengths=np.concatenate([batch.lengths for batch in batches]),
+        switch=np.concatenate([batch.switch for batch in batches]),
+        at_rest=np.concatenate([batch.at_rest for batch in batches]),
+        terminated=np.concatenate([batch.terminated for batch in batches]),
+        signals={name: join(batch.signals[name] for batch in batches) for name in batches[0].signals},
+        epochs=np.concatenate([batch.epochs for batch in batches]),
     )
 
 

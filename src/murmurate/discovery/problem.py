@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
-from murmurate.discovery.cascade import RestRule, tile_episodes
+from murmurate.discovery.cascade import RestRule
 from murmurate.errors import MAX_INTEGER, MAX_MAGNITUDE, InputError, check_number, check_type
 from murmurate.learning import PPOConfig
 from murmurate.policies import NoShield, Policy, Shield
@@ -19,6 +19,7 @@ from murmurate.world import (
     Signal,
     Start,
     WorldConfig,
+    episodes_at_once,
     objective_signals,
     scaled_to,
 )
@@ -220,7 +221,7 @@ class Problem:
             policies: Length of the list.
             episodes: How many episodes, in batches that are executed one after another.
         """
-        batches = -(-episodes // tile_episodes(self.world.robots))
+        batches = -(-episodes // episodes_at_once(self.world.robots))
         steps = self.world.half_width / self.world.max_speed
         return batches * self.scheduler.period * (steps + policies * self.rest.window)
 

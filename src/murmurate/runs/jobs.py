@@ -14,6 +14,7 @@ from murmurate.runs import files
 from murmurate.runs.experiment import ExperimentConfig
 from murmurate.runs.folder import RunFolder
 from murmurate.runs.grid import Grid
+from murmurate.runs.run import Run
 
 __all__ = ["Job", "JobStatus", "Progress", "TrainingJob", "initial_statuses", "training_jobs"]
 
@@ -114,11 +115,13 @@ class TrainingJob(Job):
         folder: The run folder.
         config: The experiment; None to read it from the folder.
         on_metrics: See `train.discover`; only in this process.
+        initial: See `train.discover`; only in this process.
     """
 
     folder: Path
     config: ExperimentConfig | None = None
     on_metrics: Callable[[Path], None] | None = None
+    initial: Run | None = None
 
     def is_finished(self) -> bool:
         """See `Job`."""
@@ -144,7 +147,7 @@ class TrainingJob(Job):
 
         # A worker may import the modules that its sweep names: the user who started the sweep named them.
         configs = {job.folder: job.config or RunFolder(job.folder).experiment(trust=True) for job in jobs}
-        discover_together(configs, True, on_progress, jobs[0].on_metrics)
+        discover_together(configs, True, on_progress, jobs[0].on_metrics, jobs[0].initial)
 
     def fields(self) -> dict[str, Any]:
         """See `Job`."""
@@ -180,9 +183,11 @@ def _training_progress(folder: Path, config: ExperimentConfig) -> Progress | Non
     return Progress(stage, last["update"], updates, last["reward"], speed, left)
 
 
-def training_jobs(grid: Grid, out: str | Path, on_metrics: Callable[[Path], None] | None = None) -> list[TrainingJob]:
+def training_jobs(
+    grid: Grid, out: str | Path, on_metrics: Callable[[Path], None] | None = None, initial: Run | None = None
+) -> list[TrainingJob]:
     """Returns the trainings of a grid's runs in a folder."""
-    return [TrainingJob(Path(out) / name, config, on_metrics) for name, config in grid.runs.items()]
+    return [TrainingJob(Path(out) / name, config, on_metrics, initial) for name, config in grid.runs.items()]
 
 
 @dataclass(frozen=True)

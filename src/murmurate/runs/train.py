@@ -28,7 +28,7 @@ from murmurate.runs.experiment import ExperimentConfig
 from murmurate.runs.folder import Checkpoint, FolderState, RunFolder
 from murmurate.runs.run import Run
 
-__all__ = ["discover", "discover_together"]
+__all__ = ["check_initial", "discover", "discover_together"]
 
 _QUANTITIES = {"reward": "the reward", "policy_loss": "the policy's loss", "value_loss": "the value network's loss"}
 """What is said to have diverged, by its name in a row of metrics; where all are finite, it is a parameter."""
@@ -164,6 +164,23 @@ class _Training:
 
 
 # Before the training: what the folders hold, and what the training begins with
+
+
+def check_initial(configs: Mapping[Path, ExperimentConfig], resume: bool, initial: Run) -> None:
+    """Checks that many runs can begin with the policies of one, and that those that have begun did.
+
+    Args:
+        configs: What each is to discover, and how, by the run folder.
+        resume: Continue what the folders hold.
+        initial: The run that they begin with.
+
+    Raises:
+        RunError: They cannot, or did not.
+    """
+    states = _inspect({RunFolder(path): config for path, config in configs.items()}, resume, initial)
+    for config, state in zip(configs.values(), states.values(), strict=True):
+        if state == "new":
+            _fit_initial(config, initial)
 
 
 def _inspect(

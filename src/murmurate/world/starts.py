@@ -13,7 +13,6 @@ import math
 import operator
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
-from contextvars import ContextVar
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar, Literal, get_args
@@ -22,7 +21,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, PRNGKeyArray
+from jaxtyping import Array, Float, PRNGKeyArray
 
 from murmurate import prng, untrusted
 from murmurate.errors import MAX_INTEGER, InputError, check_choice, check_number, check_path, check_type
@@ -55,14 +54,17 @@ __all__ = [
 MAX_REDRAWS = 10_000
 """Redraws after which overlaps stay: a start that needs more is refused when it is checked."""
 
-MAX_REDRAW_PAIRS = 1 << 34
-"""Pairs of robots compared in all redraws of a batch, about: they take a minute."""
-
-PART_PAIRS = 1 << 28
-"""Pairs of robots compared in the redraws of a batch that nothing interrupts, about: they take a second."""
+MAX_REDRAW_PAIRS = 1 << 30
+"""Pairs of robots compared in all redraws of a batch, about: they take seconds, in which nothing interrupts."""
 
 MAX_PARTIAL_REDRAWS = 50
 """Redraws after which a configuration that still overlaps is drawn anew as a whole."""
+
+BATCH_PAIRS = 1 << 13
+"""Pairs of robots in the episodes that are drawn or executed at once: they fit in a core's cache."""
+
+BATCH_EPISODES = 64
+"""Episodes that are drawn or executed at once, at most."""
 
 MAX_STARTS_BYTES = 1 << 26
 """Size of a file of starts, at most."""
@@ -406,7 +408,7 @@ def _redraw_overlaps_batch_last(
 ) -> Float[Array, "robots 2 batch"]:
     def pending(carry: tuple[Any, Any, Any, Any]) -> Any:
         _, _, overlapping, turn = carry
-        return jnp.any(overlapping) & (turn < end)
+        return jnp.any(overlapping) & (turn < turns)
 
     def redraw(carry: tuple[Any, Any, Any, Any]) -> tuple[Any, Any, Any, Any]:
         key, positions, overlapping, turn = carry
@@ -416,35 +418,12 @@ def _redraw_overlaps_batch_last(
         positions = jnp.where((overlapping | stuck)[:, None], propose(draw), positions)
         return key, positions, _touch_earlier(positions, radius), turn + 1
 
-    first = _first_redraw.get()
-    if isinstance(first, jax.Array):
-        key = jax.lax.fori_loop(0, first, lambda _, key: jax.random.split(key)[0], key)
     key, draw = jax.random.split(key)
     positions = propose(draw)
-    robots, _, batch = positions.shape
-    begin, end = 0, _max_redraws(batch, robots)
-    if first is not None:
-        begin, end = first, jnp.minimum(first + _part_redraws(batch, robots), end)
-    carry = (key, positions, _touch_earlier(positions, radius), begin)
+    # In large batches of large swarms a redraw takes long, and nothing interrupts the loop.
+    turns = min(MAX_REDRAWS, max(MAX_REDRAW_PAIRS // (positions.size * len(positions)), 2 * MAX_PARTIAL_REDRAWS))
+    carry = (key, positions, _touch_earlier(positions, radius), 0)
     return jax.lax.while_loop(pending, redraw, carry)[1]
-
-
-def _max_redraws(batch: int, robots: int) -> int:
-    """Returns after how many redraws overlaps stay: in large batches of large swarms each takes long."""
-    return min(MAX_REDRAWS, max(MAX_REDRAW_PAIRS // (2 * batch * robots**2), 2 * MAX_PARTIAL_REDRAWS))
-
-
-def _part_redraws(batch: int, robots: int) -> int:
-    """Returns how many redraws `draw_starts` executes at a time: a multiple of `MAX_PARTIAL_REDRAWS`."""
-    return max(PART_PAIRS // (2 * batch * robots**2 * MAX_PARTIAL_REDRAWS), 1) * MAX_PARTIAL_REDRAWS
-
-
-_first_redraw: ContextVar[int | Array | None] = ContextVar("first_redraw", default=None)
-"""While a program of `draw_starts` is traced, the redraw that its part of them begins with; None: it has all of them.
-
-After every `MAX_PARTIAL_REDRAWS` redraws, each configuration that still overlaps is drawn anew as a whole. So a later
-part, which begins after a multiple of that, goes on without what the parts before it have drawn.
-"""
 
 
 def _touch_earlier(positions: Float[Array, "robots 2 batch"], radius: Any) -> Any:
@@ -460,44 +439,35 @@ def draw_starts(
 ) -> Float[np.ndarray, "starts robots 2"]:
     """Draws configurations, world units, from a prepared start.
 
-    Overlaps are redrawn in parts of about a second, between which Ctrl-C ends it.
+    They are drawn in batches of a fixed size. So those that are drawn first are the same whatever the count, one
+    compiled program serves any count, and Ctrl-C ends a long search between two batches.
     """
     check_type("start", start, Start, "a start, such as UniformStart()")
     check_number("count", count, 1, integer=True)
     check_world(world)
-    arguments = (with_array_leaves(start), key, count, with_array_leaves(world))
-    points, overlapping = jax.device_get(_draw_part(*arguments, 0))
-    if not overlapping.any():
-        return points
-    part = _part_redraws(count, world.robots)
-    for first in range(part, _max_redraws(count, world.robots), part):
-        _, still = jax.device_get(_draw_part(*arguments, jnp.asarray(first, jnp.int32)))
-        overlapping = overlapping & still
-        if not overlapping.any():
-            break
-    else:
-        return points
-    # One program, as a training draws them: a start of the user's own may have done more than to redraw overlaps.
-    return np.asarray(_draw(*arguments))
+    start_arrays, world_arrays, size = (
+        with_array_leaves(start),
+        with_array_leaves(world),
+        episodes_at_once(world.robots),
+    )
+    keys = [jax.random.fold_in(key, first) for first in range(0, count, size)]
+    return np.concatenate([np.asarray(_draw(start_arrays, key, size, world_arrays)) for key in keys])[:count]
+
+
+def episodes_at_once(robots: int) -> int:
+    """Returns how many episodes of a swarm of this size are drawn or executed at once, a power of two.
+
+    It is the same for any number of episodes. So each of them is computed alike whatever the others are, to the last
+    bit, and a program that was compiled for some episodes serves any number.
+    """
+    fitting = max(BATCH_PAIRS // robots**2, 1)
+    return min(BATCH_EPISODES, 1 << (fitting.bit_length() - 1))
 
 
 # Outside of a jit, the loop that redraws overlaps would be compiled anew at every call.
 @eqx.filter_jit
 def _draw(start: Start, key: PRNGKeyArray, count: int, world: WorldConfig) -> Float[Array, "starts robots 2"]:
     return start.sample(key, count, world)
-
-
-@eqx.filter_jit
-def _draw_part(
-    start: Start, key: PRNGKeyArray, count: int, world: WorldConfig, first: int | Array
-) -> tuple[Float[Array, "starts robots 2"], Bool[Array, " starts"]]:
-    """Draws configurations with a part of the redraws, from `first` on, and returns which still overlap."""
-    token = _first_redraw.set(first)
-    try:
-        points = start.sample(key, count, world)
-    finally:
-        _first_redraw.reset(token)
-    return points, jnp.any(_touch_earlier(jnp.moveaxis(points, 0, -1), world.radius), axis=0)
 
 
 def check_start(start: Start, world: WorldConfig) -> Start:
