@@ -61,7 +61,7 @@ def test_the_oldest_versions_are_those_that_the_project_allows():
 
 @pytest.mark.skipif(shutil.which("make") is None, reason="needs make")
 def test_make_installs_nothing_into_an_environment_that_has_what_is_needed(tmp_path):
-    """The environment here is a shell script, which has the packages that are named in a file, and notes what it ran."""
+    """The environment is a shell script, which has the packages that a file names, and notes what it ran."""
     (tmp_path / "bin").mkdir()
     python = tmp_path / "bin" / "python"
     python.write_text(PYTHON, encoding="utf-8")

@@ -241,11 +241,6 @@ def test_networks_move_a_swarm_alike_alone_and_in_company(tiny_run):
     assert_holds_still(together)
 
 
-@pytest.mark.parametrize(("robots", "episodes"), [(2, 64), (8, 64), (16, 32), (30, 8), (90, 1), (2000, 1)])
-def test_what_is_executed_at_once_fits_in_a_cache(robots, episodes):
-    assert episodes_at_once(robots) == episodes
-
-
 def test_the_dice_of_an_episode_depend_on_its_index_alone():
     """The second of three episodes from one and the same start is the second of two, and is not the first."""
     world = with_array_leaves(World.create(SIX, UniformStart(), "C2"))

@@ -27,12 +27,12 @@ from murmurate.world import (
     WorldConfig,
     check_start,
     draw_starts,
+    episodes_at_once,
     read_named_starts,
     read_starts,
     redraw_overlaps,
     scaled_to,
     starts,
-    with_array_leaves,
 )
 from murmurate.world.starts import symmetric_layout
 
@@ -128,25 +128,32 @@ def test_a_configuration_that_got_stuck_is_drawn_anew():
     assert_clean(np.asarray(positions), world)
 
 
-def test_redraws_are_interrupted_between_parts_and_come_out_as_in_one(monkeypatch):
-    world = with_array_leaves(WorldConfig(robots=24, half_width=6.0, half_height=6.0))
-    whole = starts._draw(UniformStart(), jax.random.key(1), 24, world)
-    assert_clean(np.moveaxis(np.asarray(whole), 0, -1), world)
-    monkeypatch.setattr(starts, "PART_PAIRS", 1)
-    begun, draw_part = [], starts._draw_part
-    monkeypatch.setattr(starts, "_draw_part", lambda *args: begun.append(int(args[-1])) or draw_part(*args))
-    np.testing.assert_array_equal(draw_starts(UniformStart(), jax.random.key(1), 24, world), whole)
-    assert len(begun) > 2
-    assert begun == list(range(0, 50 * len(begun), 50))
+def test_the_first_starts_are_the_same_whatever_the_count(monkeypatch):
+    """They are drawn in batches of one size, between which Ctrl-C ends the search."""
+    world = WorldConfig(robots=24, half_width=6.0, half_height=6.0)
+    size = episodes_at_once(24)
+    many = draw_starts(UniformStart(), jax.random.key(1), 2 * size + 3, world)
+    assert_clean(np.moveaxis(many, 0, -1), world)
+    assert len(np.unique(many, axis=0)) == len(many)
+    for count in (1, size, size + 1):
+        np.testing.assert_array_equal(draw_starts(UniformStart(), jax.random.key(1), count, world), many[:count])
+    begun, draw_batch = [], starts._draw
 
     def interrupted(*args):
-        if args[-1] > 0:
+        begun.append(args)
+        if len(begun) > 1:
             signal.raise_signal(signal.SIGINT)
-        return draw_part(*args)
+        return draw_batch(*args)
 
-    monkeypatch.setattr(starts, "_draw_part", interrupted)
+    monkeypatch.setattr(starts, "_draw", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        draw_starts(UniformStart(), jax.random.key(1), 24, world)
+        draw_starts(UniformStart(), jax.random.key(1), 2 * size + 3, world)
+    assert len(begun) == 2
+
+
+@pytest.mark.parametrize(("robots", "episodes"), [(2, 64), (8, 64), (16, 32), (30, 8), (90, 1), (2000, 1)])
+def test_what_is_drawn_or_executed_at_once_fits_in_a_cache(robots, episodes):
+    assert episodes_at_once(robots) == episodes
 
 
 def test_noise_is_uniform_within_its_bounds():
@@ -332,7 +339,7 @@ def test_symmetric_starts_fit_and_differ_in_size_and_direction(robots):
         assert (np.abs(starts) <= 0.81 * world.half_width).all()
         apart = distances(np.moveaxis(starts, 0, -1))[others].min(axis=0)
         assert (apart >= 3 - 1e-5).all()
-        assert len(np.unique(apart.round(4))) == 50
+        assert len(np.unique(apart)) == 50
         # The shape is the family's: all distances in the same proportion.
         np.testing.assert_allclose(
             distances(starts[3]) / apart[3], distances(symmetric_layout(name, robots)), atol=1e-4

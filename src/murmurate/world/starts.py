@@ -499,13 +499,14 @@ def check_start(start: Start, world: WorldConfig) -> Start:
         raise InputError("start", start.name, f"a start whose sample returns float32{list(wanted)}, not {what}")
     if _surely_fits(prepared, world):
         return prepared
-    points = draw_starts(prepared, prng.key(0), TRIALS, world)
-    if not np.isfinite(points).all():
-        raise InputError("start", start.name, "a start of finite numbers")
-    if (np.abs(points) > world.bounds).any():
-        raise InputError("start", start.name, f"inside |x| <= {world.half_width:g}, |y| <= {world.half_height:g}")
-    if (_batch_last.clearances(np.moveaxis(points, 0, -1), world.radius) <= 0).any():
-        raise _does_not_fit(world, f"the {start.name} start without overlap")
+    for count in (1, TRIALS):  # one first: where none fits, the search for each of them takes long
+        points = draw_starts(prepared, prng.key(0), count, world)
+        if not np.isfinite(points).all():
+            raise InputError("start", start.name, "a start of finite numbers")
+        if (np.abs(points) > world.bounds).any():
+            raise InputError("start", start.name, f"inside |x| <= {world.half_width:g}, |y| <= {world.half_height:g}")
+        if (_batch_last.clearances(np.moveaxis(points, 0, -1), world.radius) <= 0).any():
+            raise _does_not_fit(world, f"the {start.name} start without overlap")
     return prepared
 
 
