@@ -178,7 +178,7 @@ class Cascade(eqx.Module):
             switch=np.asarray(status.switch[:-1, :episodes].T, np.int32),
             at_rest=np.asarray(status.at_rest)[:episodes],
             terminated=np.asarray(status.terminated)[:episodes],
-            signals={name: values.T for name, values in signals.items()},
+            signals={name: signals[name].T for name in self.world.objective.names},
             epochs=np.asarray(status.state.epochs, np.int32)[:episodes],
         )
 
