@@ -159,8 +159,8 @@ PAGE = """# Discoveries
 The patterns that {seeds} seeds of each experiment discover, beside those that simulated annealing finds among
 configurations alone. Made by `make seeds`, which trains what is missing and writes this page.
 
-Each row is {seeds} trainings, each with the settings of its experiment but {worlds} parallel episodes instead of 256, and so
-half of the budget, and each evaluated on {episodes} fresh starts. Their valid final patterns are sorted into classes as
+Each row is {seeds} trainings with the settings of the experiment, but {worlds} parallel episodes instead of 256: half
+of the budget. Each is evaluated on {episodes} fresh starts. Their valid final patterns are sorted into classes as
 `murmurate catalogue` does: the same up to moving, turning, relabelling, mirroring and scaling, within 0.125 root mean
 square radii. Each training was pinned to one core, because the number of threads changes a policy a little.
 
