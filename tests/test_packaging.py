@@ -36,7 +36,7 @@ def test_what_is_installed_by_default_and_for_tests_is_pinned():
 
 @pytest.mark.skipif(shutil.which("make") is None, reason="needs make")
 def test_make_installs_nothing_into_an_environment_that_has_what_is_needed(tmp_path):
-    """The environment here is a shell script, which has the packages that are named in a file, and notes what it ran."""
+    """The environment here is a shell script, which has the packages that a file names, and notes what it ran."""
     (tmp_path / "bin").mkdir()
     python = tmp_path / "bin" / "python"
     python.write_text(PYTHON)

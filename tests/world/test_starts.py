@@ -133,11 +133,21 @@ def test_redraws_are_interrupted_between_parts_and_come_out_as_in_one(monkeypatc
     whole = starts._draw(UniformStart(), jax.random.key(1), 24, world)
     assert_clean(np.moveaxis(np.asarray(whole), 0, -1), world)
     monkeypatch.setattr(starts, "PART_PAIRS", 1)
-    begun, draw_part = [], starts._draw_part
-    monkeypatch.setattr(starts, "_draw_part", lambda *args: begun.append(int(args[-1])) or draw_part(*args))
+    begun, parts, draw_part = [], [], starts._draw_part
+
+    def noted(*args):
+        begun.append(int(args[-1]))
+        parts.append(draw_part(*args))
+        return parts[-1]
+
+    monkeypatch.setattr(starts, "_draw_part", noted)
     np.testing.assert_array_equal(draw_starts(UniformStart(), jax.random.key(1), 24, world), whole)
     assert len(begun) > 2
     assert begun == list(range(0, 50 * len(begun), 50))
+    # Each configuration is as the first part has it after which none of its robots overlap.
+    first = np.argmin([overlapping for _, overlapping in parts], axis=0)
+    drawn = np.array([points for points, _ in parts])[first, np.arange(24)]
+    np.testing.assert_allclose(drawn, whole, atol=1e-5)
 
     def interrupted(*args):
         if args[-1] > 0:

@@ -471,7 +471,7 @@ def draw_starts(
         return points
     part = _part_redraws(count, world.robots)
     for first in range(part, _max_redraws(count, world.robots), part):
-        _, still = jax.device_get(_draw_part(*arguments, np.int32(first)))
+        _, still = jax.device_get(_draw_part(*arguments, jnp.int32(first)))
         overlapping = overlapping & still
         if not overlapping.any():
             break
@@ -489,7 +489,7 @@ def _draw(start: Start, key: PRNGKeyArray, count: int, world: WorldConfig) -> Fl
 
 @eqx.filter_jit
 def _draw_part(
-    start: Start, key: PRNGKeyArray, count: int, world: WorldConfig, first: int | Array
+    start: Start, key: PRNGKeyArray, count: int, world: WorldConfig, first: Any
 ) -> tuple[Float[Array, "starts robots 2"], Bool[Array, " starts"]]:
     """Draws configurations with a part of the redraws, from `first` on, and returns which still overlap."""
     token = _first_redraw.set(first)
