@@ -68,9 +68,43 @@ def test_vectors_and_agents_have_own_signals_too():
     close(observations["robot_1"][0], [*(TRIANGLE[2] - TRIANGLE[1]), 1])
 
 
+@pytest.mark.parametrize("shield", ["own.mine:Half", Half()])
+def test_a_shield_shortens_the_moves(shield):
+    env = GatheringEnv(**SWARM, shield=shield)
+    env.reset(options={"positions": TRIANGLE})
+    close(env.step(np.ones((3, 2)))[0], TRIANGLE + 0.25)
+
+
+def test_agents_have_a_scheduler_and_a_shield():
+    env = parallel_env(**SWARM, sensing="global", scheduler=RoundRobin(), shield=Half())
+    env.reset(options={"positions": TRIANGLE})
+    for _ in range(2):
+        before = env.state()
+        env.step({agent: np.ones(2, np.float32) for agent in env.agents})
+        moved = np.abs(env.state() - before).max(axis=1)
+        assert sorted(moved.round(5).tolist())[:2] == [0, 0]
+        assert moved.max() > 0.1
+
+
+def test_each_world_of_many_has_the_scheduler_of_its_seed():
+    envs = GatheringVectorEnv(num_envs=2, scheduler="ssync", **SWARM)
+    begun, _ = envs.reset(seed=[3, 4])
+    after = [envs.step(np.ones((2, 3, 2)))[0] for _ in range(3)]
+    for index, seed in enumerate((3, 4)):
+        env = GatheringEnv(scheduler="ssync", **SWARM)
+        np.testing.assert_array_equal(env.reset(seed=seed)[0], begun[index])
+        for positions in after:
+            close(env.step(np.ones((3, 2)))[0], positions[index])
+    moved = np.abs(np.diff(np.stack([begun, *after]), axis=0)).max(axis=3) > 0
+    assert 0 < moved.mean() < 1
+
+
 @pytest.mark.parametrize(
     ("options", "field"),
     [
+        ({"scheduler": "sometimes"}, "scheduler"),
+        ({"scheduler": 3}, "scheduler"),
+        ({"shield": "own.mine:RoundRobin"}, "shield"),
         ({"start": "nowhere:Start"}, "start"),
         ({"start": "own.mine:not_a_class"}, "start"),
         ({"start": "own.mine:Calm"}, "start"),

@@ -18,20 +18,22 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, PyTree, UInt8, UInt32
 
 from murmurate import compilation_cache, forks, prng
-from murmurate.discovery import DiscoveryConfig, Problem, RestRule, StageConfig, check_parts
+from murmurate.discovery import DiscoveryConfig, Problem, RestRule, StageConfig, build_environment, check_parts
 from murmurate.errors import MAX_INTEGER, InputError, check_choice, check_number, suggestion
-from murmurate.policies import LocalPolicy
+from murmurate.policies import CentralPolicy, LocalPolicy, Shield
 from murmurate.registry import Importer, Strategy
 from murmurate.runs import config_io
 from murmurate.world import (
     OBJECTIVES,
     GlobalSensing,
+    Scheduler,
     Sensing,
     Signal,
     Start,
     UniformStart,
     World,
     WorldConfig,
+    Wrapper,
     check_configurations,
     check_start,
     scaled_to,
@@ -80,14 +82,30 @@ class Gathering:
     Attributes:
         config: Sizes of the world and its robots.
         world: The decision process.
-        sensing: What robots perceive, where each is an agent of its own.
+        problem: The sensing, the scheduler and the shield around it.
         action_scale: unit (an action of 1 is the speed limit) or world (world units per step).
     """
 
     config: WorldConfig
     world: World
-    sensing: Sensing
+    problem: Problem
     action_scale: ActionScale
+
+    @property
+    def sensing(self) -> Sensing:
+        """What robots perceive, where each is an agent of its own."""
+        return self.problem.sensing
+
+    def environment(self, per_robot_credit: bool = False, own_views: bool = False) -> World | Wrapper:
+        """Returns the world with its scheduler and its shield.
+
+        Args:
+            per_robot_credit: Whether credit is given robot by robot.
+            own_views: Whether each robot observes what it perceives alone.
+        """
+        policy = LocalPolicy() if own_views else CentralPolicy()
+        world = replace(self.world, per_robot_credit=per_robot_credit)
+        return build_environment(replace(self.problem, policy=policy), world)
 
     @property
     def has_landmark(self) -> bool:
@@ -149,6 +167,8 @@ class Options:
         weights: Weights that replace the signals' own, by name.
         horizon: Steps after which an episode is truncated.
         action_scale: unit (an action of 1 is the speed limit) or world (world units per step).
+        scheduler: When robots look and move; a robot that may not look now goes on with its last move.
+        shield: What shortens the robots' moves.
     """
 
     robots: Any = 10
@@ -158,6 +178,8 @@ class Options:
     weights: Any = None
     horizon: Any = 400
     action_scale: Any = "unit"
+    scheduler: Any = "fsync"
+    shield: Any = "none"
 
     def __post_init__(self) -> None:
         check_number("robots", self.robots, 2, integer=True)
@@ -197,6 +219,8 @@ def make_gathering(keywords: Mapping[str, Any], sensing: Any = None) -> Gatherin
         start=_strategy(Start, options.start, "start"),
         signals={name: _strategy(Signal, signal, f"signals.{name}") for name, signal in signals},
         sensing=GlobalSensing() if sensing is None else _strategy(Sensing, sensing, "sensing"),
+        scheduler=_strategy(Scheduler, options.scheduler, "scheduler"),
+        shield=_strategy(Shield, options.shield, "shield"),
         # Only what is above is used: nothing is trained.
         policy=LocalPolicy(),
         base=StageConfig(),
@@ -210,10 +234,11 @@ def make_gathering(keywords: Mapping[str, Any], sensing: Any = None) -> Gatherin
     # has made, and checked, an environment before.
     if forks.can_compute():
         start = check_start(problem.start, problem.world)
-        if any(part.is_foreign() for part in (*objective.values(), problem.sensing)):
+        parts = (*objective.values(), problem.sensing, problem.scheduler, problem.shield)
+        if any(part.is_foreign() for part in parts):
             check_parts(problem)
     process = World.create(problem.world, start, objective, options.weights, options.horizon)
-    return Gathering(problem.world, process, problem.sensing, options.action_scale)
+    return Gathering(problem.world, process, problem, options.action_scale)
 
 
 def _strategy(kind: type[S], value: Any, field: str) -> S:
@@ -325,7 +350,7 @@ class Episodes:
             begun = np.flatnonzero(np.ones(batch) if mask is None else mask).tolist()
             seeds = np.zeros((batch, 2), np.uint32)
             seeds[begun] = [_two_seeds(rng[index]) for index in begun]
-            draw, start_seed, seed = _draw_each, seeds[:, 0], seeds[begun[0], 1]
+            draw, start_seed, seed = _draw_each, seeds[:, 0], seeds[:, 1]
         if positions is None:
             positions = draw(*self._compiled, start_seed, batch)
         state, observed = _begin(*self._compiled, positions, seed)
@@ -411,11 +436,17 @@ def _draw_each(
 
 @functools.partial(jax.jit, static_argnums=0)
 def _begin(
-    program: _Program, arrays: Any, positions: Float[Array, "batch robots 2"], seed: UInt32[Array, ""]
+    program: _Program, arrays: Any, positions: Float[Array, "batch robots 2"], seed: UInt32[Array, "*batch"]
 ) -> tuple[Any, Any]:
     env = program.env(arrays)
     # In float32, as the observation spaces say, whatever precision a start is drawn in.
-    state = env.state(jnp.moveaxis(positions, 0, -1).astype(jnp.float32), seed)
+    positions = jnp.moveaxis(positions, 0, -1).astype(jnp.float32)
+    if seed.ndim and not isinstance(env, World):
+        # Each from a seed of its own, as a single one begins with it.
+        begin = jax.vmap(lambda positions, seed: env.state(positions[..., None], seed), (-1, 0), -1)
+        state = jax.tree.map(lambda leaf: leaf[..., 0, :], begin(positions, seed))
+    else:
+        state = env.state(positions, seed)
     return state, _batch_first((program.observe(env, state), env.signals(state.positions)))
 
 

@@ -70,8 +70,8 @@ class GatheringEnv(gymnasium.Env[Any, Float[np.ndarray, "robots 2"]]):
             objective: C1 (gathering at the origin), C2 (at no predefined point), or custom (the given signals alone).
             observations: positions or sensing.
             render_mode: None, rgb_array or human.
-            **options: Further fields of `interop.gathering.Options` (start, signals, weights, horizon, action_scale)
-                and of `WorldConfig`.
+            **options: Further fields of `interop.gathering.Options` (start, signals, weights, horizon, action_scale,
+                scheduler, shield) and of `WorldConfig`.
 
         Raises:
             InputError: A keyword is unknown, or a value is not allowed.
@@ -79,7 +79,7 @@ class GatheringEnv(gymnasium.Env[Any, Float[np.ndarray, "robots 2"]]):
         observe = _observe(observations)
         self._gathering = make_gathering({"robots": robots, "objective": objective, **options})
         self._camera = Camera(self._gathering, render_mode, self.metadata["render_modes"])
-        self._episodes = Episodes(self._gathering.world, observe, 1)
+        self._episodes = Episodes(self._gathering.environment(), observe, 1)
         # A copy: Gymnasium's own vector environments write into it.
         self.metadata = dict(self.metadata)
         self.render_mode = render_mode
@@ -205,7 +205,7 @@ class GatheringVectorEnv(VectorEnv[Any, Float[np.ndarray, "envs robots 2"], np.n
         self._mode = AutoresetMode(autoreset_mode)
         self._gathering = make_gathering({"robots": robots, "objective": objective, **options})
         self._camera = Camera(self._gathering, render_mode, self.metadata["render_modes"])
-        self._episodes = Episodes(self._gathering.world, observe, num_envs)
+        self._episodes = Episodes(self._gathering.environment(), observe, num_envs)
         self.metadata = {**self.metadata, "autoreset_mode": self._mode}
         self.render_mode = render_mode
         self.num_envs = num_envs

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any, Literal, get_args
 
 import jax.numpy as jnp
@@ -23,7 +22,7 @@ except ModuleNotFoundError as error:
 
 from murmurate.errors import InputError, check_choice
 from murmurate.interop.gathering import FPS, Camera, Episodes, make_gathering
-from murmurate.world import LocalObservation, ObservedState, Sensing
+from murmurate.world import LocalObservation, Sensing, Wrapper
 
 __all__ = ["GatheringParallelEnv", "Reward", "parallel_env"]
 
@@ -77,8 +76,8 @@ class GatheringParallelEnv(ParallelEnv[str, Rows, Velocity]):
             reward: shared (every agent gets the world's reward) or robots (each gets the change of its own potential;
                 the penalty falls on the robots that touched another or left).
             render_mode: None, rgb_array or human.
-            **options: Further fields of `interop.gathering.Options` (start, signals, weights, horizon, action_scale)
-                and of `WorldConfig`.
+            **options: Further fields of `interop.gathering.Options` (start, signals, weights, horizon, action_scale,
+                scheduler, shield) and of `WorldConfig`.
 
         Raises:
             InputError: A keyword is unknown, or a value is not allowed.
@@ -86,9 +85,8 @@ class GatheringParallelEnv(ParallelEnv[str, Rows, Velocity]):
         check_choice("reward", reward, get_args(Reward))
         self._gathering = make_gathering({"robots": robots, "objective": objective, **options}, sensing)
         self._camera = Camera(self._gathering, render_mode, self.metadata["render_modes"])
-        world = replace(self._gathering.world, per_robot_credit=reward == "robots")
         sensing = self._gathering.sensing
-        env = LocalObservation(world, sensing, self._gathering.config)
+        env = self._gathering.environment(per_robot_credit=reward == "robots", own_views=True)
         self._episodes = Episodes(env, _observe, 1)
         self._rng = seeding.np_random()[0]
         self.render_mode = render_mode
@@ -231,19 +229,24 @@ parallel_env = GatheringParallelEnv
 """PettingZoo's name for what makes an environment."""
 
 
-def _observe(env: LocalObservation, state: ObservedState) -> Float[Array, "robots rows 3 batch"]:
+def _observe(env: Wrapper, state: Any) -> Float[Array, "robots rows 3 batch"]:
     """Returns what every robot perceives as rows of numbers."""
-    view = env.observe(state).view
+    view, sensing = env.observe(state).view, _sensing(env)
     seen = view.seen.astype(view.x.dtype)
     # Robots that are not perceived sort as the farthest. The robot itself is one of them: one row of zeros is dropped.
     order = jnp.argsort(jnp.where(view.seen, view.x**2 + view.y**2, jnp.inf), axis=1)[:, :-1]
     rows = jnp.take_along_axis(jnp.stack([view.x, view.y, seen], axis=2), order[:, :, None], axis=1)
     one, zero = jnp.ones_like(view.radius), jnp.zeros_like(view.radius)
     extra = []
-    if "close" in env.unwrapped.objective.names and env.sensing.landmark:
+    if "close" in env.unwrapped.objective.names and sensing.landmark:
         extra.append(jnp.stack([view.landmark_x, view.landmark_y, one], axis=1))
     if view.walls is not None:
         extra += [jnp.stack([*jnp.unstack(wall, axis=1), one], axis=1) for wall in jnp.unstack(view.walls, axis=1)]
-    if env.sensing.unit_ratio > 1:
+    if sensing.unit_ratio > 1:
         extra.append(jnp.stack([view.radius, zero, one], axis=1))
     return jnp.concatenate([rows, *(row[:, None] for row in extra)], axis=1)
+
+
+def _sensing(env: Any) -> Sensing:
+    """Returns what robots perceive in an environment, which may have a shield around it."""
+    return env.sensing if isinstance(env, LocalObservation) else _sensing(env.env)
