@@ -109,5 +109,13 @@ def test_a_batch_stays_whole_where_it_has_to(small_tiles, monkeypatch):
 
 
 def test_tiles_are_of_nearly_equal_size_and_fit_the_cache():
-    assert [tiles.tile_size(10, batch) for batch in (0, 1, 256, 257, 300, 1024, 4096)] == [0, 1, 256, 160, 160, 256, 256]
+    assert [tiles.tile_size(10, batch) for batch in (0, 1, 256, 257, 300, 1024, 4096)] == [
+        0,
+        1,
+        256,
+        160,
+        160,
+        256,
+        256,
+    ]
     assert [tiles.tile_size(robots, 1 << 16) for robots in (5, 20, 32, 48, 4096)] == [512, 128, 64, 32, 32]

@@ -7,15 +7,16 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+from jax.core import Tracer
 
 __all__ = ["in_tiles", "tile_size"]
 
 OBSERVER_BYTES = 51_200
 """Bytes, at most, of the five numbers of every robot in which one observer tests who hides whom, over a tile.
 
-They are read once for each robot, so they should stay in a core's first-level cache, of 32 to 64 KiB today. On two cores
-of 48 KiB each, the fastest tiles had 256 episodes of 10 robots, 128 of 20 and 64 of 32; twice as many took from 1.3 to
-1.8 times as long, and half as many up to 1.1 times.
+They are read once for each robot, so they should stay in a core's first-level cache, of 32 to 64 KiB today. With caches
+of 48 KiB, the fastest tiles had 256 episodes of 10 robots, 128 of 20 and 64 of 32. Twice as many took from 1.3 to 1.8
+times as long, and half as many up to 1.2 times.
 """
 
 VECTOR = 32
@@ -35,7 +36,7 @@ def in_tiles(function: Callable[..., Any], robots: int, *arguments: Any) -> Any:
     """
     leaves = jax.tree.leaves(arguments)
     batch = jnp.shape(leaves[0])[-1]
-    if not isinstance(batch, int) or not any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
+    if not isinstance(batch, int) or not any(isinstance(leaf, Tracer) for leaf in leaves):
         return function(*arguments)
     size = tile_size(robots, batch)
     if size == batch or jax.default_backend() != "cpu" or jax.device_count() > 1:
