@@ -79,7 +79,7 @@ class Size:
     pairs: int = 1 << 20
     run: int = 1 << 23
     steps: tuple[int, int] = (2, 400)
-    side_by_side: Sequence[int] = (256, 1024)
+    side_by_side: Sequence[int] = (256, 1024, 4096)
     training: dict[str, int] = field(default_factory=dict)
     updates: int = 2
     extent: Extent = field(default_factory=Extent)

@@ -6,6 +6,7 @@ terminated or truncated episode is the caller's to end (see `learning.step_with_
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Mapping
 from typing import Any
 
@@ -23,6 +24,7 @@ from murmurate.world.scheduling import Activation, Clock, Scheduler
 from murmurate.world.sensing import Frames, Sensing
 from murmurate.world.signals import Configuration, Objective, Signal, objective_signals
 from murmurate.world.starts import Start
+from murmurate.world.tiles import in_tiles
 
 __all__ = [
     "ActionRepeat",
@@ -126,10 +128,7 @@ class World(eqx.Module):
             seed: Not used: the world draws nothing. Wrappers may.
         """
         del seed
-        configuration = Configuration(positions, self.config)
-        objective = self.objective(self.objective.measure(configuration))
-        step = jnp.zeros(positions.shape[2:], jnp.int32)
-        return State(positions, step, objective, self._potential(configuration, objective))
+        return in_tiles(self._state, len(positions), positions)
 
     def reset_batch(self, key: PRNGKeyArray, batch: int) -> State:
         """Begins a batch of episodes, each at a fresh start of its own."""
@@ -137,6 +136,19 @@ class World(eqx.Module):
 
     def step(self, state: State, velocities: Float[Array, "robots 2 *batch"]) -> tuple[State, Transition]:
         """Moves every robot for one step; velocities are clipped to the speed limit component by component."""
+        return in_tiles(self._step, len(velocities), state, velocities)
+
+    def observe(self, state: State | WrappedState) -> Any:
+        """Returns the positions: the paper's policy sees all of them."""
+        return state.positions
+
+    def _state(self, positions: Float[Array, "robots 2 *batch"]) -> State:
+        configuration = Configuration(positions, self.config)
+        objective = self.objective(self.objective.measure(configuration))
+        step = jnp.zeros(positions.shape[2:], jnp.int32)
+        return State(positions, step, objective, self._potential(configuration, objective))
+
+    def _step(self, state: State, velocities: Float[Array, "robots 2 *batch"]) -> tuple[State, Transition]:
         config = self.config
         velocities = jnp.clip(velocities, -config.max_speed, config.max_speed)
         positions = state.positions + velocities
@@ -144,20 +156,19 @@ class World(eqx.Module):
         signals = self.objective.measure(configuration)
         objective = self.objective(signals)
         potential = self._potential(configuration, objective)
-        in_contact = _batch_last.in_contact(state.positions, velocities, config.radius)
-        failed = in_contact | _batch_last.outside(positions, config.half_width, config.half_height)
-        terminated = jnp.any(failed, axis=0)
-        penalised = failed if self.per_robot_credit else terminated[None]
+        motion, sides = (state.positions, velocities, config.radius), (positions, config.half_width, config.half_height)
+        if self.per_robot_credit:
+            penalised = _batch_last.in_contact(*motion) | _batch_last.outside(*sides)
+            terminated = _batch_last.fold(operator.or_, penalised)
+        else:
+            terminated = _batch_last.any_contact(*motion) | _batch_last.any_outside(*sides)
+            penalised = terminated[None]
         credit = jnp.where(terminated, -config.collision_penalty * penalised, potential - state.potential)
         reward = jnp.where(terminated, -config.collision_penalty, objective - state.objective)
         step = state.step + 1
         truncated = (step >= self.horizon) & ~terminated
         after = State(positions, step, objective, potential)
         return after, Transition(reward, terminated, truncated, signals, credit)
-
-    def observe(self, state: State | WrappedState) -> Any:
-        """Returns the positions: the paper's policy sees all of them."""
-        return state.positions
 
     def _potential(self, configuration: Configuration, objective: Any) -> Float[Array, "actions *batch"]:
         return self.objective.credit(configuration) if self.per_robot_credit else objective[None]

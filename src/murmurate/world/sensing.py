@@ -7,6 +7,7 @@ does not perceive is absent from its view, as a robot that does not exist would 
 from __future__ import annotations
 
 from abc import abstractmethod
+from functools import partial
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -21,6 +22,7 @@ from murmurate.types import View
 from murmurate.world.config import WorldConfig
 from murmurate.world.randomness import draw_each
 from murmurate.world.signals import Configuration
+from murmurate.world.tiles import in_tiles
 
 __all__ = ["Frames", "GlobalSensing", "ScanSensing", "Sensing", "VisibleSensing"]
 
@@ -128,6 +130,11 @@ class Sensing(Strategy):
             keys: Randomness of noise and missed detections, `(*batch)`.
             world: Sizes of the world and its robots.
         """
+        return in_tiles(partial(self._view, world), len(positions), positions, frames, keys)
+
+    def _view(
+        self, world: WorldConfig, positions: Float[Array, "robots 2 *batch"], frames: Frames, keys: Key[Array, "*batch"]
+    ) -> View:
         robots = positions.shape[0]
         dx = positions[None, :, 0] - positions[:, None, 0]
         dy = positions[None, :, 1] - positions[:, None, 1]

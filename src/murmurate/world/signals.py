@@ -6,6 +6,7 @@ and work in NumPy or JAX, whichever holds the positions.
 
 from __future__ import annotations
 
+import operator
 from abc import abstractmethod
 from collections.abc import Mapping
 from functools import cached_property
@@ -91,7 +92,8 @@ class Signal(Strategy):
 
     def value(self, configuration: Configuration) -> Float[Array, "*batch"]:
         """Returns the signal: by default the mean of the robots' shares."""
-        return configuration.xp.mean(self(configuration), axis=0)
+        values = self(configuration)
+        return _sum(values) / len(values)
 
     def credit(self, configuration: Configuration) -> Float[Array, "robots *batch"]:
         """Returns each robot's potential: the change of it teaches that robot its own action.
@@ -113,7 +115,7 @@ class Close(Signal):
 
     def value(self, configuration: Configuration) -> Float[Array, "*batch"]:
         """Returns 1 - W_close sum ||P_n||: the sum is taken first."""
-        total = configuration.xp.sum(self._from_origin(configuration), axis=0)
+        total = _sum(self._from_origin(configuration))
         return 1 - total / (configuration.positions.shape[0] * _half_diagonal(configuration.world))
 
     def credit(self, configuration: Configuration) -> Float[Array, "robots *batch"]:
@@ -121,8 +123,8 @@ class Close(Signal):
         return -self._from_origin(configuration) / (2 * _half_diagonal(configuration.world))
 
     def _from_origin(self, configuration: Configuration) -> Float[Array, "robots *batch"]:
-        xp, positions = configuration.xp, configuration.positions
-        return xp.sqrt(xp.sum(positions**2, axis=1))
+        x, y = configuration.positions[:, 0], configuration.positions[:, 1]
+        return configuration.xp.sqrt(x * x + y * y)
 
 
 @Signal.register("nclose")
@@ -136,13 +138,13 @@ class NeighborClose(Signal):
     def value(self, configuration: Configuration) -> Float[Array, "*batch"]:
         """Returns 1 - W_nclose sum ||P_i - P_j||: the sum is taken first."""
         robots = configuration.positions.shape[0]
-        total = configuration.xp.sum(configuration.distances, axis=(0, 1))
+        total = _sum(_sum(configuration.distances, axis=1))
         return 1 - total / (robots * (robots - 1) * 2 * _half_diagonal(configuration.world))
 
     def credit(self, configuration: Configuration) -> Float[Array, "robots *batch"]:
         """Returns the terms of every pair that the robot is part of."""
         others = configuration.positions.shape[0] - 1
-        total = configuration.xp.sum(configuration.distances, axis=1)
+        total = _sum(configuration.distances, axis=1)
         return -total / (others * 2 * _half_diagonal(configuration.world))
 
 
@@ -154,13 +156,13 @@ class Safety(Signal):
         """Returns 1 - sum sqrt(max(0, delta_s - d)) / sqrt(delta_s) over a robot's pairs; or the printed formula."""
         xp, world, between = configuration.xp, configuration.world, configuration.distances
         if world.safety == "penalty":
-            charged = xp.sum(xp.sqrt(xp.maximum(world.safe_distance - between, 0)), axis=1)
+            charged = _sum(xp.sqrt(xp.maximum(world.safe_distance - between, 0)), axis=1)
             # The diagonal, at distance 0, was charged sqrt(safe_distance): given back here rather than masked above.
             return 2 - charged / world.safe_distance**0.5
         excess = between - world.safe_distance
         radicand = xp.where(excess >= 0, xp.maximum(world.safe_distance + world.radius - excess, 0), 0)
         scale = (world.safe_distance + world.radius) ** 0.5
-        return xp.sum(xp.sqrt(radicand), axis=1) / ((between.shape[0] - 1) * scale)
+        return _sum(xp.sqrt(radicand), axis=1) / ((between.shape[0] - 1) * scale)
 
 
 @Signal.register("neighbors")
@@ -268,6 +270,11 @@ class Objective(eqx.Module):
     def __call__(self, values: Mapping[str, Any]) -> Any:
         """Returns the weighted sum of values by the signals' names."""
         return sum(weight * values[name] for name, weight in self.weights.items())
+
+
+def _sum(values: Any, axis: int = 0) -> Any:
+    """Returns a sum over robots, always in the same order: XLA's own order depends on the size of the batch."""
+    return _batch_last.fold(operator.add, values, axis)
 
 
 def _half_diagonal(world: WorldConfig) -> Any:

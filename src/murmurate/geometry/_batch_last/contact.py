@@ -8,7 +8,9 @@ other.
 from __future__ import annotations
 
 import operator
+from typing import Any
 
+import numpy as np
 from jaxtyping import Bool, Float
 
 from murmurate.geometry._batch_last.visibility import Array, Scalar, as_floating, fold, off_diagonal, offsets
@@ -23,6 +25,9 @@ __all__ = [
     "in_contact",
     "outside",
 ]
+
+MAX_LISTED_ROBOTS = 48
+"""The largest swarm whose pairs are listed, each once, in a program; beyond, the list would take much of its memory."""
 
 
 def distances(positions: Float[Array, "robots 2 *batch"]) -> Float[Array, "robots robots *batch"]:
@@ -45,7 +50,13 @@ def closest_approach(
     xp, positions = as_floating(positions)
     _, velocities = as_floating(velocities)
     dx, dy, _ = offsets(xp, positions)
-    vx, vy, speed = offsets(xp, velocities)
+    vx, vy, _ = offsets(xp, velocities)
+    return _least_length(xp, dx, dy, vx, vy)
+
+
+def _least_length(xp: Any, dx: Any, dy: Any, vx: Any, vy: Any) -> Any:
+    """Returns the least length during one step of offsets that change at constant velocities."""
+    speed = xp.sqrt(vx * vx + vy * vy)
     moving = speed > 0
     # Along the unit direction of relative motion, so that a tiny relative speed cannot underflow when squared.
     ex, ey = (xp.where(moving, v / xp.where(moving, speed, 1), 0) for v in (vx, vy))
@@ -74,8 +85,14 @@ def any_contact(
     positions: Float[Array, "robots 2 *batch"], velocities: Float[Array, "robots 2 *batch"], radius: Scalar
 ) -> Bool[Array, "*batch"]:
     """Returns whether any two robots touch during one step."""
-    touching = in_contact(positions, velocities, radius)
-    return touching.__array_namespace__().any(touching, axis=0)
+    robots = positions.shape[0]
+    if not isinstance(robots, int) or not 2 <= robots <= MAX_LISTED_ROBOTS:
+        return fold(operator.or_, in_contact(positions, velocities, radius))
+    xp, positions = as_floating(positions)
+    _, velocities = as_floating(velocities)
+    first, second = np.triu_indices(robots, 1)
+    dx, dy, vx, vy = (a[second] - a[first] for v in (positions, velocities) for a in (v[:, 0], v[:, 1]))
+    return fold(operator.or_, _least_length(xp, dx, dy, vx, vy) <= 2 * radius)
 
 
 def outside(
@@ -91,5 +108,4 @@ def any_outside(
     positions: Float[Array, "robots 2 *batch"], half_width: Scalar, half_height: Scalar
 ) -> Bool[Array, "*batch"]:
     """Returns whether any robot is outside the world."""
-    beyond = outside(positions, half_width, half_height)
-    return beyond.__array_namespace__().any(beyond, axis=0)
+    return fold(operator.or_, outside(positions, half_width, half_height))
