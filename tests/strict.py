@@ -30,8 +30,11 @@ _PASSED_THROUGH = ("beartype", "contextlib", "dataclasses", "equinox", "functool
 def check_types(function):
     """Checks types and shapes of what the package passes to its functions, and of what these return.
 
-    What a test passes itself is not checked: many tests pass what is wrong, to see how the package refuses it.
+    What a test passes itself is not checked: many tests pass what is wrong, to see how the package refuses it. Nor are
+    functions inside of functions, which would be decorated anew at every call of the outer one.
     """
+    if "<locals>" in function.__qualname__:
+        return function
     checked = beartype(conf=BeartypeConf(hint_overrides=FrozenDict(_NUMBERS)))(function)
 
     @functools.wraps(function)

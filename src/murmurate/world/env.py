@@ -128,7 +128,7 @@ class World(eqx.Module):
             seed: Not used: the world draws nothing. Wrappers may.
         """
         del seed
-        return in_tiles(self._state, len(positions), positions)
+        return in_tiles(self._state, positions.shape[0], positions)
 
     def reset_batch(self, key: PRNGKeyArray, batch: int) -> State:
         """Begins a batch of episodes, each at a fresh start of its own."""
@@ -136,7 +136,7 @@ class World(eqx.Module):
 
     def step(self, state: State, velocities: Float[Array, "robots 2 *batch"]) -> tuple[State, Transition]:
         """Moves every robot for one step; velocities are clipped to the speed limit component by component."""
-        return in_tiles(self._step, len(velocities), state, velocities)
+        return in_tiles(self._step, velocities.shape[0], state, velocities)
 
     def observe(self, state: State | WrappedState) -> Any:
         """Returns the positions: the paper's policy sees all of them."""

@@ -130,7 +130,7 @@ class Sensing(Strategy):
             keys: Randomness of noise and missed detections, `(*batch)`.
             world: Sizes of the world and its robots.
         """
-        return in_tiles(partial(self._view, world), len(positions), positions, frames, keys)
+        return in_tiles(partial(self._view, world), positions.shape[0], positions, frames, keys)
 
     def _view(
         self, world: WorldConfig, positions: Float[Array, "robots 2 *batch"], frames: Frames, keys: Key[Array, "*batch"]

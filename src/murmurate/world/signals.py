@@ -93,7 +93,7 @@ class Signal(Strategy):
     def value(self, configuration: Configuration) -> Float[Array, "*batch"]:
         """Returns the signal: by default the mean of the robots' shares."""
         values = self(configuration)
-        return _sum(values) / len(values)
+        return _sum(values) / values.shape[0]
 
     def credit(self, configuration: Configuration) -> Float[Array, "robots *batch"]:
         """Returns each robot's potential: the change of it teaches that robot its own action.
@@ -274,6 +274,8 @@ class Objective(eqx.Module):
 
 def _sum(values: Any, axis: int = 0) -> Any:
     """Returns a sum over robots, always in the same order: XLA's own order depends on the size of the batch."""
+    if not isinstance(values.shape[axis], int):  # in a program for swarms of any size
+        return values.sum(axis=axis)
     return _batch_last.fold(operator.add, values, axis)
 
 

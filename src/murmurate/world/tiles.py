@@ -36,7 +36,11 @@ def in_tiles(function: Callable[..., Any], robots: int, *arguments: Any) -> Any:
     """
     leaves = jax.tree.leaves(arguments)
     batch = jnp.shape(leaves[0])[-1]
-    if not isinstance(batch, int) or not any(isinstance(leaf, Tracer) for leaf in leaves):
+    if (
+        not isinstance(batch, int)
+        or not isinstance(robots, int)
+        or not any(isinstance(leaf, Tracer) for leaf in leaves)
+    ):
         return function(*arguments)
     size = tile_size(robots, batch)
     if size == batch or jax.default_backend() != "cpu" or jax.device_count() > 1:

@@ -85,11 +85,11 @@ def any_contact(
     positions: Float[Array, "robots 2 *batch"], velocities: Float[Array, "robots 2 *batch"], radius: Scalar
 ) -> Bool[Array, "*batch"]:
     """Returns whether any two robots touch during one step."""
+    xp, positions = as_floating(positions)
+    _, velocities = as_floating(velocities)
     robots = positions.shape[0]
     if not isinstance(robots, int) or not 2 <= robots <= MAX_LISTED_ROBOTS:
         return fold(operator.or_, in_contact(positions, velocities, radius))
-    xp, positions = as_floating(positions)
-    _, velocities = as_floating(velocities)
     first, second = np.triu_indices(robots, 1)
     dx, dy, vx, vy = (a[second] - a[first] for v in (positions, velocities) for a in (v[:, 0], v[:, 1]))
     return fold(operator.or_, _least_length(xp, dx, dy, vx, vy) <= 2 * radius)
