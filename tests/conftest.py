@@ -29,8 +29,10 @@ import jax
 import jaxtyping
 import pytest
 
+import strict
+
 # Before the package is loaded: every call of one of its functions checks types and shapes.
-jaxtyping.install_import_hook("murmurate", "strict.check_types")
+strict.install("murmurate")
 
 from murmurate import compilation_cache
 from tiny import KINDS, tiny

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import functools
+import inspect
 import sys
+import typing
 
 import jax
+import jaxtyping
 import numpy as np
 from beartype import BeartypeConf, FrozenDict, beartype
 from beartype.roar import BeartypeCallHintViolation
 from jax import export
 
-__all__ = ["check_types"]
+__all__ = ["check_types", "install"]
 
 _Symbol = type(export.symbolic_shape("robots")[0])
 """A number of robots in a program for swarms of any size."""
@@ -27,20 +30,52 @@ _PASSED_THROUGH = ("beartype", "contextlib", "dataclasses", "equinox", "functool
 """Modules between a function and what called it."""
 
 
+_jaxtyped = jaxtyping.jaxtyped
+
+
+def install(package):
+    """Checks types and shapes in every function of a package that is imported after this.
+
+    Functions that are given no arrays are checked by beartype alone: jaxtyping would take several times as long to note
+    that there are no shapes to agree. Functions inside of functions are not checked at all, as they would be decorated
+    anew at every call of the outer one.
+    """
+    jaxtyping.jaxtyped = _jaxtyped_where_there_are_shapes
+    jaxtyping.install_import_hook(package, f"{__name__}.check_types")
+
+
+def _jaxtyped_where_there_are_shapes(*, typechecker):
+    def decorate(thing):
+        if not inspect.isfunction(thing):
+            return _jaxtyped(typechecker=typechecker)(thing)
+        if "<locals>" in thing.__qualname__:
+            return thing
+        has_shapes = any('"' in str(hint) or "'" in str(hint) for hint in thing.__annotations__.values())
+        return _jaxtyped(typechecker=typechecker)(thing) if has_shapes else typechecker(thing)
+
+    return decorate
+
+
 def check_types(function):
     """Checks types and shapes of what the package passes to its functions, and of what these return.
 
-    What a test passes itself is not checked: many tests pass what is wrong, to see how the package refuses it. Nor are
-    functions inside of functions, which would be decorated anew at every call of the outer one.
+    What a test passes itself is not checked: many tests pass what is wrong, to see how the package refuses it.
     """
-    if "<locals>" in function.__qualname__:
-        return function
-    checked = beartype(conf=BeartypeConf(hint_overrides=FrozenDict(_NUMBERS)))(function)
+
+    @functools.cache  # at the first call: hints may name what is defined later
+    def checked():
+        try:
+            typing.get_type_hints(function)
+        except NameError:  # a hint names what is imported for type checkers only
+            return function
+        return beartype(conf=BeartypeConf(hint_overrides=FrozenDict(_NUMBERS)))(function)
 
     @functools.wraps(function)
     def check(*args, **kwargs):
+        if jaxtyping.config.jaxtyping_disable:
+            return function(*args, **kwargs)
         try:
-            return checked(*args, **kwargs)
+            return checked()(*args, **kwargs)
         except BeartypeCallHintViolation:
             if _called_by_the_package():
                 raise

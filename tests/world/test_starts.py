@@ -146,8 +146,12 @@ def test_the_first_starts_are_the_same_whatever_the_count(monkeypatch):
         return draw_batch(*args)
 
     monkeypatch.setattr(starts, "_draw", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        draw_starts(UniformStart(), jax.random.key(1), 2 * size + 3, world)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a process in the background ignores it
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            draw_starts(UniformStart(), jax.random.key(1), 2 * size + 3, world)
+    finally:
+        signal.signal(signal.SIGINT, before)
     assert len(begun) == 2
 
 
