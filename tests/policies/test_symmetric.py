@@ -106,7 +106,7 @@ def pretrained(objective, sensing):
     return murmurate.pretrained(objective, sensing).cascade.policies[0]
 
 
-@pytest.mark.parametrize("robots", SWARMS)
+@pytest.mark.parametrize("robots", [2, 5, 8, 16, pytest.param(32, marks=pytest.mark.nightly)])
 @pytest.mark.parametrize("sensing", [GlobalSensing(), VisibleSensing()], ids=["global", "visible"])
 @pytest.mark.parametrize("objective", ["C1", "C2"])
 def test_robots_with_their_own_eyes(objective, sensing, robots):

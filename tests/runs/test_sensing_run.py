@@ -53,7 +53,7 @@ def test_runs_without_a_word_on_sensing_perceive_everything(tmp_path):
 
 def test_a_run_has_a_scheduler_of_its_own_and_counts_epochs(tmp_path):
     scheduler = {"use": "async", "max_delay": 1, "max_move_steps": 2, "rigid": False}
-    made = train.discover(tiny(**LOCAL, scheduler=scheduler, discovery=ONE_POLICY), tmp_path / "run")
+    made = train.discover(tiny(scheduler=scheduler, discovery=ONE_POLICY), tmp_path / "run")
     again = Run.open(made.folder)
     assert again.experiment.scheduler == made.experiment.scheduler
     assert again.cascade.rest.window == made.experiment.rest.window * 4
@@ -69,11 +69,12 @@ def test_without_a_scheduler_an_epoch_is_a_step(run):
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize("kind", ["central", "equivariant"])
+@pytest.mark.parametrize("kind", ["central", "equivariant", "local"])
 def test_every_policy_may_be_scheduled(kind, tmp_path):
     credit = {"credit": "swarm"} if kind == "central" else {}
     scheduler = {"use": "ssync", "adversarial": True}
-    config = tiny(policy={"use": kind, "hidden": [8, 4], **credit}, scheduler=scheduler, discovery=ONE_POLICY)
+    policy = {"policy": {"use": kind, "hidden": [8, 4], **credit}}
+    config = tiny(**LOCAL if kind == "local" else policy, scheduler=scheduler, discovery=ONE_POLICY)
     ran = train.discover(config, tmp_path / "run").rollout(4)
     assert (ran.epochs <= ran.lengths).all()
 
