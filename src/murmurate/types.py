@@ -78,6 +78,7 @@ class Trajectories:
         terminated: Whether the episode ended in contact or outside the world.
         signals: Signals by name.
         epochs: Epochs until the end: in each, every robot completed at least one Look-Compute-Move cycle.
+        interventions: How often the shield shortened a robot's move; None where that is not recorded.
     """
 
     positions: Float[np.ndarray, "episodes steps_and_one robots 2"]
@@ -87,6 +88,7 @@ class Trajectories:
     terminated: Bool[np.ndarray, " episodes"]
     signals: dict[str, Float[np.ndarray, "episodes steps_and_one"]]
     epochs: Int[np.ndarray, " episodes"]
+    interventions: Int[np.ndarray, " episodes"] | None = None
 
     @property
     def final(self) -> Float[np.ndarray, "episodes robots 2"]:

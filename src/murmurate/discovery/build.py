@@ -66,7 +66,7 @@ def build_environment(problem: Problem, world: World, perceived: WorldConfig | N
     if problem.policy.perceives:
         env = LocalObservation(env, problem.sensing, perceived)
     if not problem.shield.is_trivial:
-        env = ShieldWrapper(env, with_array_leaves(problem.shield), perceived)
+        env = ShieldWrapper(env, with_array_leaves(problem.prepared_shield), perceived)
     return env
 
 
@@ -137,7 +137,9 @@ def check_parts(problem: Problem) -> None:
     if problem.shield.is_foreign():
 
         def shorten() -> tuple[Any]:
-            return (problem.shield(jnp.zeros_like(positions), env.observe(env.state(positions)), problem.world),)
+            return (
+                problem.prepared_shield(jnp.zeros_like(positions), env.observe(env.state(positions)), problem.world),
+            )
 
         _check("shield", problem.shield, shorten, {"__call__": (robots, 2, batch)})
     if problem.policy.is_foreign():

@@ -180,6 +180,7 @@ class Cascade(eqx.Module):
             terminated=np.asarray(status.terminated)[:episodes],
             signals={name: signals[name].T for name in self.world.objective.names},
             epochs=np.asarray(status.state.epochs, np.int32)[:episodes],
+            interventions=np.asarray(status.state.interventions, np.int32)[:episodes],
         )
 
 
@@ -200,6 +201,7 @@ def _concatenated(batches: Sequence[Trajectories]) -> Trajectories:
         terminated=np.concatenate([batch.terminated for batch in batches]),
         signals={name: join(batch.signals[name] for batch in batches) for name in batches[0].signals},
         epochs=np.concatenate([batch.epochs for batch in batches]),
+        interventions=np.concatenate([batch.interventions for batch in batches if batch.interventions is not None]),
     )
 
 

@@ -178,6 +178,15 @@ class Problem:
         return {name: (signals[name], least) for name, least in self.valid.items()}
 
     @property
+    def prepared_shield(self) -> Shield:
+        """The shield as it acts under the scheduler.
+
+        Raises:
+            InputError: It cannot serve the scheduler.
+        """
+        return self.shield.prepare(self.scheduler)
+
+    @property
     def landmark(self) -> bool:
         """Whether the gathering point is known: whether the objective counts closeness to the origin."""
         return "close" in self.signal_names

@@ -7,10 +7,11 @@ from murmurate.policies.base import Credit, Gaussian, Policy, PolicyNetwork
 from murmurate.policies.central import CentralPolicy
 from murmurate.policies.equivariant import EquivariantPolicy
 from murmurate.policies.local import LocalPolicy
-from murmurate.policies.shield import NoShield, Shield, ShieldWrapper, WallShield
+from murmurate.policies.shield import ClearanceShield, NoShield, Shield, ShieldWrapper, WallShield
 
 __all__ = [
     "CentralPolicy",
+    "ClearanceShield",
     "Credit",
     "EquivariantPolicy",
     "Gaussian",

@@ -6,15 +6,26 @@ from abc import abstractmethod
 from typing import Any, ClassVar
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int, PRNGKeyArray
 
-from murmurate.errors import check_number
+from murmurate.errors import InputError, check_number
 from murmurate.registry import Strategy
 from murmurate.types import Observation
 from murmurate.world.config import WorldConfig
-from murmurate.world.env import Wrapper
+from murmurate.world.env import WrappedState, Wrapper
+from murmurate.world.scheduling import FsyncScheduler, Scheduler
 
-__all__ = ["NoShield", "Shield", "ShieldWrapper", "WallShield", "limit_wall_approach", "wall_directions"]
+__all__ = [
+    "ClearanceShield",
+    "NoShield",
+    "Shield",
+    "ShieldWrapper",
+    "ShieldedState",
+    "WallShield",
+    "limit_wall_approach",
+    "safe_share",
+    "wall_directions",
+]
 
 WALL_SHARE = 0.2
 """Share of its distance from a wall that a robot goes in a step, at most: moves of up to 5 steps end before the
@@ -41,6 +52,15 @@ class Shield(Strategy):
             observation: What the policy acted on: an `Observation`, or all positions.
             world: Sizes of the world and its robots.
         """
+
+    def prepare(self, scheduler: Scheduler) -> Shield:
+        """Returns the shield as it acts under a scheduler.
+
+        Raises:
+            InputError: It cannot serve the scheduler.
+        """
+        del scheduler
+        return self
 
     @property
     def is_trivial(self) -> bool:
@@ -77,19 +97,120 @@ class WallShield(Shield):
 
     def __call__(self, velocities: Array, observation: Any, world: WorldConfig) -> Array:
         """Returns the velocities with their components towards near walls shortened."""
+        walls = _walls(observation, world)
+        return velocities if walls is None else limit_wall_approach(velocities, walls, self.share)
+
+
+def _walls(observation: Any, world: WorldConfig) -> Float[Array, "robots 4 2 *batch"] | None:
+    """Returns the nearest point of each wall relative to each robot, world units; None where they perceive none."""
+    if isinstance(observation, Observation):
+        view = observation.view
+        return None if view.walls is None else view.walls * (world.radius / view.radius)[:, None, None]
+    x, y = observation[:, 0], observation[:, 1]
+    zero = jnp.zeros_like(x)
+    right, left = world.half_width - x, -world.half_width - x
+    upper, lower = world.half_height - y, -world.half_height - y
+    offsets = ((right, zero), (zero, upper), (left, zero), (zero, lower))
+    return jnp.stack([jnp.stack(offset, axis=1) for offset in offsets], axis=1)
+
+
+@Shield.register("clearance")
+class ClearanceShield(Shield):
+    """Keeps every move so short that no robot touches another or leaves the world, whatever anybody wants.
+
+    In a step, a robot goes at most a share of d - 2R far, where d is its distance from the nearest robot, and at most
+    the same share of its way to each wall that it perceives. Opaque robots perceive their nearest robot: nothing hides
+    it but one that is nearer. So this needs no more than a robot's own view; `docs/shield.md` has the proof. It holds
+    for exact distances: under noise and missed detections, robots are careful by what they perceive.
+
+    Attributes:
+        share: The share; none: as much as is proved to be safe under the scheduler, see `safe_share`.
+    """
+
+    share: float | None = None
+
+    def __check_init__(self) -> None:
+        if self.share is not None:
+            check_number("share", self.share, 0, 1, exclusive_low=True)
+
+    def prepare(self, scheduler: Scheduler) -> ClearanceShield:
+        """Returns the shield with its share.
+
+        Raises:
+            InputError: The share is not safe under the scheduler, or none is.
+        """
+        most = safe_share(scheduler)
+        if self.share is None:
+            return ClearanceShield(most)
+        if self.share > most:
+            allowed = f"at most {most:.4g}, which is safe under the scheduler {scheduler.name}"
+            raise InputError("shield.share", self.share, allowed)
+        return self
+
+    def __call__(self, velocities: Array, observation: Any, world: WorldConfig) -> Array:
+        """Returns the velocities, shortened where they are longer than the clearance allows."""
+        share = safe_share(FsyncScheduler()) if self.share is None else self.share
         if isinstance(observation, Observation):
             view = observation.view
-            if view.walls is None:
-                return velocities
-            walls = view.walls * (world.radius / view.radius)[:, None, None]
+            scale = world.radius / view.radius
+            distance = jnp.where(view.seen, _length(view.x, view.y) * scale[:, None], jnp.inf)
         else:
-            x, y = observation[:, 0], observation[:, 1]
-            zero = jnp.zeros_like(x)
-            right, left = world.half_width - x, -world.half_width - x
-            upper, lower = world.half_height - y, -world.half_height - y
-            offsets = ((right, zero), (zero, upper), (left, zero), (zero, lower))
-            walls = jnp.stack([jnp.stack(offset, axis=1) for offset in offsets], axis=1)
-        return limit_wall_approach(velocities, walls, self.share)
+            offsets = observation[None] - observation[:, None]
+            itself = jnp.eye(len(observation), dtype=bool).reshape(offsets.shape[:2] + (1,) * (offsets.ndim - 3))
+            distance = jnp.where(itself, jnp.inf, _length(offsets[:, :, 0], offsets[:, :, 1]))
+        # Whoever perceives nobody knows that nobody is within the scan radius.
+        far = jnp.full_like(velocities[:, :1, ...], world.scan_radius)
+        nearest = jnp.min(jnp.concatenate([distance, far], axis=1), axis=1)
+        limit = share * jnp.maximum(nearest - 2 * world.radius - _rounding(world), 0.0)
+        speed = _length(velocities[:, 0], velocities[:, 1])
+        shortened = velocities * jnp.where(speed > limit, limit / jnp.where(speed > limit, speed, 1.0), 1.0)[:, None]
+        walls = _walls(observation, world)
+        return shortened if walls is None else limit_wall_approach(shortened, walls, share)
+
+
+ROUNDING = 0.98
+"""Share of what is proved for exact numbers that is used, so that rounding a velocity does no harm."""
+
+
+def safe_share(scheduler: Scheduler) -> float:
+    """Returns which share of its clearance d - 2R a robot may go in a step under a scheduler.
+
+    While one robot's cycle lasts, from its look to the end of its move, another one looks at most m = `max_delay` +
+    `max_move_steps` times. For m = 1 all who move look at the same moment, and a displacement of c (d - 2R) is safe for
+    c < 1/2. Otherwise c <= (1 - c)^(m - 1) / 4 suffices. A move goes on for up to `max_move_steps` steps.
+
+    Raises:
+        InputError: The scheduler states no greatest delay or no longest move.
+    """
+    delay, steps = scheduler.max_delay, scheduler.max_move_steps
+    if delay is None or steps is None:
+        allowed = f"left out: the scheduler {scheduler.name} states no max_delay and max_move_steps, and none is safe"
+        raise InputError("shield.use", "clearance", allowed)
+    low, high = 0.0, 0.5
+    if delay + steps > 1:
+        for _ in range(60):
+            middle = (low + high) / 2
+            low, high = (middle, high) if middle <= (1 - middle) ** (delay + steps - 1) / 4 else (low, middle)
+        high = low
+    return ROUNDING * high / steps
+
+
+def _length(x: Array, y: Array) -> Array:
+    """Returns the lengths of vectors; the gradient at 0 is 0."""
+    squared = x**2 + y**2
+    return jnp.where(squared > 0, jnp.sqrt(jnp.where(squared > 0, squared, 1.0)), 0.0)
+
+
+def _rounding(world: WorldConfig) -> Any:
+    """Returns a clearance in which rounded positions cannot be told from touching ones, world units.
+
+    Each of two robots' coordinates is rounded by half a unit in the last place of the world's sides; with that of their
+    distance, by less than two such units in all.
+    """
+    return 2 * _EPSILON * jnp.maximum(world.half_width, world.half_height) + 4 * _EPSILON * world.radius
+
+
+_EPSILON = float(jnp.finfo(jnp.float32).eps)
 
 
 def limit_wall_approach(
@@ -117,17 +238,50 @@ def wall_directions(
     return normal, jnp.maximum(jnp.sum(walls * normal, axis=2), 0.0)
 
 
+class ShieldedState(WrappedState):
+    """A state together with how often the shield acted.
+
+    Attributes:
+        shortened: Robots whose velocity was shortened, summed over the steps so far.
+    """
+
+    shortened: Int[Array, "*batch"]
+
+    @property
+    def interventions(self) -> Int[Array, "*batch"]:
+        """How often the shield has shortened a robot's move."""
+        return self.shortened
+
+
 class ShieldWrapper(Wrapper):
     """An environment in which a shield shortens every move.
 
     Attributes:
-        shield: The shield.
+        shield: The shield, prepared for the scheduler.
         world: The sizes by which it acts.
     """
 
     shield: Shield
     world: WorldConfig
 
-    def step(self, state: Any, action: Float[Array, "robots 2 *batch"]) -> tuple[Any, Any]:
+    def reset_batch(self, key: PRNGKeyArray, batch: int) -> ShieldedState:
+        """Begins a batch of episodes, each at a fresh start."""
+        return self._begun(self.env.reset_batch(key, batch))
+
+    def state(self, positions: Float[Array, "robots 2 *batch"], seed: Any = 0) -> ShieldedState:
+        """Returns the state at the beginning of an episode from the given configurations."""
+        return self._begun(self.env.state(positions, seed))
+
+    def observe(self, state: ShieldedState) -> Any:
+        """Returns what policy and value networks are given."""
+        return self.env.observe(state.inner)
+
+    def step(self, state: ShieldedState, action: Float[Array, "robots 2 *batch"]) -> tuple[ShieldedState, Any]:
         """Shortens the velocities and advances every episode by one step."""
-        return self.env.step(state, self.shield(action, self.env.observe(state), self.world))
+        velocities = self.shield(action, self.observe(state), self.world)
+        after, transition = self.env.step(state.inner, velocities)
+        shortened = jnp.sum(jnp.any(velocities != action, axis=1), axis=0, dtype=jnp.int32)
+        return ShieldedState(after, state.shortened + shortened), transition
+
+    def _begun(self, inner: Any) -> ShieldedState:
+        return ShieldedState(inner, jnp.zeros(inner.positions.shape[2:], jnp.int32))

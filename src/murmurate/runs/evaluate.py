@@ -107,6 +107,7 @@ class Evaluation:
         trajectories, names = self.trajectories, self.objective.names
         signals = np.stack([trajectories.signals[name] for name in names], axis=-1).astype(np.float32)
         weights = np.array([self.objective.weights[name] for name in names], np.float32)
+        interventions = trajectories.interventions
         return {
             "positions": trajectories.positions.astype(np.float32),
             "lengths": trajectories.lengths.astype(np.int32),
@@ -117,6 +118,7 @@ class Evaluation:
             "at_rest": trajectories.at_rest.astype(bool),
             "terminated": trajectories.terminated.astype(bool),
             "epochs": trajectories.epochs.astype(np.int32),
+            **({} if interventions is None else {"interventions": interventions.astype(np.int32)}),
         }
 
     def save(self, folder: str | Path | RunFolder) -> None:
@@ -214,6 +216,7 @@ def _measured(trajectories: Trajectories, validity: Validity) -> dict[str, Any]:
     episodes, total = len(trajectories.lengths), float(trajectories.lengths.mean())
     # A list of one policy has no switch: all steps are the base policy's.
     base = float((trajectories.switch[:, 0] if trajectories.switch.shape[1] else trajectories.lengths).mean())
+    interventions = trajectories.interventions
     conditions = ("contact_free", "inside", "mutually_visible", "gathered", "safe", "at_rest", "valid")
     return {
         "episodes": episodes,
@@ -225,6 +228,7 @@ def _measured(trajectories: Trajectories, validity: Validity) -> dict[str, Any]:
         "auxiliary_steps": total - base,
         "total_steps": total,
         "epochs": float(trajectories.epochs.mean()),
+        **({} if interventions is None else {"interventions": float(interventions.mean())}),
     }
 
 

@@ -60,6 +60,7 @@ class ExperimentConfig(Problem):
             raise InputError("name", self.name, "up to 64 letters, digits, spaces and . + - _")
         self._check_signals()
         self._check_sensing()
+        self.shield.prepare(self.scheduler)  # refuses a scheduler that it cannot serve
         if self.sizes:
             self._check_sizes()
 

@@ -531,7 +531,7 @@ class RunFolder:
         def check(headers: dict[str, files.ArrayHeader]) -> None:
             _check_headers(path, headers, episodes, robots)
 
-        arrays = files.read_npz(path, (*_REQUIRED, "terminated", "epochs"), check)
+        arrays = files.read_npz(path, (*_REQUIRED, "terminated", "epochs", "interventions"), check)
         self._check_evaluated(TRAJECTORIES)
         positions, names = arrays["positions"], [str(name) for name in arrays["signal_names"]]
         if config is not None and (names, positions.shape[2]) != (list(config.signal_names), config.world.robots):
@@ -551,6 +551,7 @@ class RunFolder:
             at_rest=arrays["at_rest"],
             terminated=arrays.get("terminated", np.zeros(len(lengths), bool)),
             epochs=arrays.get("epochs", lengths).astype(int),
+            interventions=arrays.get("interventions"),
             signals={name: signals[..., index] for index, name in enumerate(names)},
         )
 
@@ -631,6 +632,7 @@ def _check_headers(path: Path, headers: dict[str, files.ArrayHeader], episodes: 
         "signals": ("f", (*shape[:2], names[0] if names else 0)),
         "terminated": ("b", shape[:1]),
         "epochs": ("iu", shape[:1]),
+        "interventions": ("iu", shape[:1]),
     }
     for name, (kinds, wanted) in expected.items():
         if name in headers and (headers[name].shape != wanted or headers[name].dtype.kind not in kinds):
@@ -755,6 +757,7 @@ def _are_starts(value: Any) -> bool:
 _EVALUATION_FIELDS: Mapping[str, tuple[Callable[[Any], bool], str]] = {
     **dict.fromkeys(_FRACTIONS, (_is_share, "is not a share from 0 to 1")),
     **dict.fromkeys((*_STEPS, "epochs"), (_is_length, "is not a number of steps")),
+    "interventions": (_is_length, "is not a number of interventions"),
     "episodes": (lambda value: _is_count(value, MAX_EPISODES), f"is not a number of episodes from 1 to {MAX_EPISODES}"),
     "robots": (lambda value: _is_count(value, MAX_INTEGER), "is not a number of robots"),
     "seed": (lambda value: _is_count(value, 2**32 - 1, 0), "is not a seed"),

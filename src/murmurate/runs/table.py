@@ -77,6 +77,8 @@ def comparison(summary: Mapping[str, Any], row: PaperExperiment | None) -> tuple
         (f"{name} reached", f"{round(fraction * episodes)} of {episodes}")
         for name, fraction in summary.get("thresholds", {}).items()
     ]
+    shortened = summary.get("interventions")
+    shield = [("moves shortened by the shield, an episode", f"{shortened:.1f}")] if shortened else []
     rows: list[Row] = [
         ("base steps", steps[0]),
         ("auxiliary steps", steps[1]),
@@ -90,6 +92,7 @@ def comparison(summary: Mapping[str, Any], row: PaperExperiment | None) -> tuple
         ("mutually visible", _count(summary, "mutually_visible")),
         ("safe", _count(summary, "safe")),
         *thresholds,
+        *shield,
         ("valid pattern", valid),
         ("gap to the best-known pattern", gap(summary)),
     ]

@@ -60,6 +60,11 @@ class State(eqx.Module):
         return self.step
 
     @property
+    def interventions(self) -> Int[Array, "*batch"]:
+        """How often a shield has shortened a robot's move: never without one."""
+        return jnp.zeros_like(self.step)
+
+    @property
     def unwrapped(self) -> State:
         """The state of the world: this one."""
         return self
@@ -198,6 +203,11 @@ class WrappedState(eqx.Module):
     def epochs(self) -> Int[Array, "*batch"]:
         """Epochs so far."""
         return self.inner.epochs
+
+    @property
+    def interventions(self) -> Int[Array, "*batch"]:
+        """How often a shield has shortened a robot's move."""
+        return self.inner.interventions
 
 
 class Wrapper(eqx.Module):

@@ -77,6 +77,12 @@ class Scheduler(Strategy):
     fairness_bound: ClassVar[int] = MAX_STEPS
     """A robot is idle for fewer than so many steps in a row; a subclass may make it a field."""
 
+    max_delay: ClassVar[int | None] = None
+    """Steps from a look to the move, at most; None: not stated."""
+
+    max_move_steps: ClassVar[int | None] = None
+    """Steps that a move takes, at most; None: not stated."""
+
     candidates: ClassVar[int] = 1
     """Activations drawn at each step, of which the one with the worst outcome happens: an adversary draws several."""
 
@@ -106,6 +112,9 @@ class Scheduler(Strategy):
 class FsyncScheduler(Scheduler):
     """FSYNC: all robots are active at every step."""
 
+    max_delay: ClassVar[int | None] = 0
+    max_move_steps: ClassVar[int | None] = 1
+
     def activate(self, key: PRNGKeyArray, clock: Clock) -> Activation:
         """Activates all robots."""
         robots = clock.idle.shape[0]
@@ -134,6 +143,9 @@ class SsyncScheduler(Scheduler):
         adversarial: Whether an adversary chooses which robots are active and how far each gets: of 4 drawn choices the
             one with the least next objective.
     """
+
+    max_delay: ClassVar[int | None] = 0
+    max_move_steps: ClassVar[int | None] = 1
 
     activation_probability: float = eqx.field(default=0.5, static=True)
     fairness_bound: int = eqx.field(default=8, static=True)  # type: ignore[misc]
@@ -173,8 +185,8 @@ class AsyncScheduler(Scheduler):
         max_move_steps: A move takes up to so many steps, at the velocity computed before the first.
     """
 
-    max_delay: int = eqx.field(default=2, static=True)
-    max_move_steps: int = eqx.field(default=4, static=True)
+    max_delay: int = eqx.field(default=2, static=True)  # type: ignore[misc]
+    max_move_steps: int = eqx.field(default=4, static=True)  # type: ignore[misc]
 
     def __check_init__(self) -> None:
         check_number("max_delay", self.max_delay, 0, MAX_STEPS, integer=True)

@@ -227,7 +227,7 @@ def _samples(
 
 def _velocities(run: Run, index: int, positions: np.ndarray) -> np.ndarray:
     """Returns what a policy that acts on all positions does in the run's world."""
-    policy, shield, world = run.cascade.policies[index], run.experiment.shield, run.experiment.world
+    policy, shield, world = run.cascade.policies[index], run.experiment.prepared_shield, run.experiment.world
     seen = jnp.moveaxis(jnp.asarray(positions), 0, -1)
     velocities = jax.jit(lambda seen: shield(policy(seen), seen, world))(seen)
     return np.moveaxis(np.asarray(velocities), -1, 0).clip(-world.max_speed, world.max_speed)
@@ -246,7 +246,7 @@ def _views_and_velocities(
         frames = sensing.draw_frames(keys, world.robots)
         view = sensing.view(positions, frames, keys, world)
         observation = Observation(view, positions, jnp.zeros_like(positions[:, 0]))
-        return view, experiment.shield(policy(observation), observation, world)
+        return view, experiment.prepared_shield(policy(observation), observation, world)
 
     positions = np.moveaxis(_positions(run, world.robots, count, rng), 0, -1).astype(np.float32)
     keys = jax.random.split(prng.key(rng.integers(2**32)), count)

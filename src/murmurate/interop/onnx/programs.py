@@ -181,7 +181,7 @@ def _view_program(run: Run, index: int, foreign: Mapping[str, Strategy]) -> Prog
         # NaN in place of what a robot cannot know: a policy that uses it is found out by its velocity.
         unknown = jnp.full((1, 2, *ones.shape[1:]), jnp.nan, x.dtype)
         observation = Observation(view, unknown, unknown[:, 0])
-        velocity = experiment.shield(policy(observation), observation, world)
+        velocity = experiment.prepared_shield(policy(observation), observation, world)
         return (jnp.transpose(velocity[0]),)
 
     return Program(act, inputs, ("velocity",), _metadata(run, str(index), **about), foreign, index)
@@ -248,7 +248,7 @@ def _shielded(
     run: Run, policy: Any, positions: Float[Array, "robots 2 batch"], world: WorldConfig
 ) -> Float[Array, "robots 2 batch"]:
     """Returns the velocities of a policy as they are executed: after the shield, within the speed limit."""
-    velocities = run.experiment.shield(policy(positions), positions, world)
+    velocities = run.experiment.prepared_shield(policy(positions), positions, world)
     return jnp.clip(velocities, -world.max_speed, world.max_speed)
 
 

@@ -1,0 +1,266 @@
+"""Moves that nobody can be touched by, against policies that try to touch, under every scheduler, in float64."""
+
+from __future__ import annotations
+
+import functools
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from murmurate.errors import InputError
+from murmurate.policies import ClearanceShield, NoShield, ShieldWrapper
+from murmurate.policies.shield import safe_share
+from murmurate.runs import presets
+from murmurate.world import (
+    Activation,
+    AsyncScheduler,
+    FsyncScheduler,
+    LocalObservation,
+    Scheduler,
+    SchedulerWrapper,
+    SsyncScheduler,
+    UniformStart,
+    VisibleSensing,
+    World,
+    WorldConfig,
+    with_array_leaves,
+)
+from oracles import contact as oracle
+
+RADIUS = 1.0
+SIDE = 60.0
+BATCH = 64
+
+SCHEDULERS = {
+    "fsync": FsyncScheduler(),
+    "fsync, stopped anywhere": FsyncScheduler(rigid=False, min_move=1e-6),
+    "ssync": SsyncScheduler(),
+    "ssync, adversary, stopped anywhere": SsyncScheduler(adversarial=True, rigid=False, min_move=1e-6),
+    "async": AsyncScheduler(),
+    "async, stopped anywhere": AsyncScheduler(rigid=False, min_move=1e-6),
+    "async, long delays": AsyncScheduler(max_delay=6, max_move_steps=1),
+    "async, in step": AsyncScheduler(max_delay=0, max_move_steps=1),
+}
+
+
+def world_of(robots):
+    return WorldConfig(robots=robots, half_width=SIDE, half_height=SIDE, scan_radius=30.0, max_speed=3.0)
+
+
+def crowds(robots, rng):
+    """Returns tight triangular packings, turned and moved, whose gaps are from 1e-5 to 1 of a robot's size."""
+    side = int(np.ceil(np.sqrt(robots)))
+    column, row = np.divmod(np.arange(robots), side)
+    lattice = np.stack([row + 0.5 * (column % 2), np.sqrt(0.75) * column], axis=1)
+    gap = 10 ** rng.uniform(-5, 0, (BATCH, 1, 1))
+    angle = rng.uniform(0, 2 * np.pi, BATCH)
+    turn = np.stack([np.cos(angle), -np.sin(angle), np.sin(angle), np.cos(angle)], axis=-1).reshape(-1, 2, 2)
+    points = 2 * RADIUS * (1 + gap) * (lattice - lattice.mean(axis=0)) @ turn
+    return (points + rng.uniform(-10, 10, (BATCH, 1, 2))).astype(np.float32)
+
+
+def wishes(positions, step, key):
+    """Returns what three quarrelsome kinds of robots want: to the nearest, to the middle, and anywhere."""
+    offsets = positions[None] - positions[:, None]
+    distance = jnp.hypot(offsets[:, :, 0], offsets[:, :, 1])
+    distance = jnp.where(jnp.eye(len(positions), dtype=bool)[:, :, None], jnp.inf, distance)
+    nearest = jnp.take_along_axis(offsets, jnp.argmin(distance, axis=1)[:, None, None], axis=1)[:, 0]
+    middle = positions.mean(axis=0) - positions
+    anywhere = jax.random.normal(jax.random.fold_in(key, step), positions.shape)
+    kind = jnp.arange(BATCH) % 3
+    wanted = jnp.where(kind == 0, nearest, jnp.where(kind == 1, middle, anywhere))
+    return 100 * wanted  # as fast as the speed limit allows
+
+
+@functools.cache
+def roll(robots, scheduler, shield, steps, sensing=None, walls=False):
+    """Returns the positions of robots that try to touch each other, or to leave the world."""
+    config = world_of(robots)
+    env = with_array_leaves(World.create(config, UniformStart(), "C2", {"visible": 0, "neighbors": 0}))
+    env = env if scheduler.is_trivial else SchedulerWrapper(env, scheduler)
+    env = env if sensing is None else LocalObservation(env, sensing, config)
+    env = ShieldWrapper(env, with_array_leaves(shield), config)
+
+    @eqx.filter_jit
+    def execute(env, positions):
+        def step(state, number):
+            wanted = wishes(state.positions, number, jax.random.key(1))
+            if walls:
+                wanted = 100 * state.positions * (1 + 0 * wanted)
+            if sensing is not None:  # in each robot's own frame
+                frames = state.inner.frames
+                wanted = jnp.stack(frames.to_local(wanted[:, 0], wanted[:, 1]), axis=1)
+            after, _ = env.step(state, wanted)
+            return after, after.positions
+
+        state = env.state(positions, jnp.asarray(3, jnp.uint32))
+        state, visited = jax.lax.scan(step, state, jnp.arange(steps))
+        return jnp.concatenate([positions[None], visited]), state.interventions
+
+    starts = np.moveaxis(crowds(robots, np.random.default_rng(robots)), 0, -1)
+    visited, interventions = execute(env, jnp.asarray(starts))
+    return np.asarray(visited).astype(float), np.asarray(interventions)
+
+
+def least_distances(visited):
+    """Returns the least distance of any two robots between two steps, moving in straight lines, in float64."""
+    robots = visited.shape[1]
+    first, second = np.triu_indices(robots, 1)
+    offset = visited[:-1, first] - visited[:-1, second]
+    motion = np.diff(visited[:, first] - visited[:, second], axis=0)
+    squared = (motion**2).sum(axis=2)
+    when = np.clip(-(offset * motion).sum(axis=2) / np.where(squared > 0, squared, 1), 0, 1)
+    return np.sqrt(((offset + when[:, :, None] * motion) ** 2).sum(axis=2))
+
+
+CASES = [
+    (2, "fsync"),
+    (8, "fsync"),
+    (48, "fsync"),
+    (5, "fsync, stopped anywhere"),
+    (24, "ssync"),
+    (3, "ssync, adversary, stopped anywhere"),
+    (12, "async"),
+    (6, "async, stopped anywhere"),
+    (4, "async, long delays"),
+    (7, "async, in step"),
+]
+
+
+@pytest.mark.parametrize(("robots", "name"), CASES)
+def test_nobody_touches_whatever_anybody_wants(robots, name):
+    """Over a million steps of robots in all."""
+    scheduler = SCHEDULERS[name]
+    visited, interventions = roll(robots, scheduler, ClearanceShield().prepare(scheduler), 160)
+    assert least_distances(visited).min() > 2 * RADIUS
+    assert (np.abs(visited) <= SIDE).all()
+    assert np.abs(np.diff(visited, axis=0)).max() > 0.01  # they do move
+    assert (interventions > 0).all()
+    assert sum(BATCH * 160 * count for count, _ in CASES) > 1e6
+
+
+def test_a_share_of_more_than_a_half_is_found_out():
+    visited, _ = roll(2, FsyncScheduler(), ClearanceShield(0.51), 160)
+    assert least_distances(visited).min() <= 2 * RADIUS
+
+
+def test_what_is_safe_in_step_is_not_by_stale_looks():
+    """The share of FSYNC under ASYNC: a robot moves by what it saw while the other one has come nearer."""
+    visited, _ = roll(12, AsyncScheduler(), ClearanceShield(safe_share(FsyncScheduler())), 160)
+    assert least_distances(visited).min() <= 2 * RADIUS
+
+
+def test_without_a_shield_they_touch_and_nothing_is_counted():
+    visited, interventions = roll(8, FsyncScheduler(), NoShield(), 160)
+    assert least_distances(visited).min() <= 2 * RADIUS
+    assert (interventions == 0).all()
+
+
+@pytest.mark.parametrize("sensing", [None, VisibleSensing(rotation=True, reflection=True, unit_ratio=2.0, walls=True)])
+def test_nobody_leaves_the_world(sensing):
+    visited, _ = roll(8, FsyncScheduler(), ClearanceShield().prepare(FsyncScheduler()), 160, sensing, walls=True)
+    assert (np.abs(visited) <= SIDE).all()
+    assert (np.abs(visited[-1]).max(axis=(0, 1)) > SIDE - 0.1).all()
+    assert least_distances(visited).min() > 2 * RADIUS
+
+
+def test_opaque_robots_know_their_clearance():
+    """The nearest robot is never hidden: what robots see for themselves shortens as much as all positions do."""
+    config = world_of(24)
+    world = with_array_leaves(World.create(config, UniformStart(), "C2"))
+    env = LocalObservation(world, VisibleSensing(rotation=True, unit_ratio=3.0), config)
+    positions = jnp.moveaxis(jnp.asarray(crowds(24, np.random.default_rng(0))), 0, -1)
+    shield, velocities = ClearanceShield(0.4), jnp.full_like(positions, 3.0)
+
+    @jax.jit
+    def lengths(positions):
+        seen = shield(velocities, env.observe(env.state(positions)), config)
+        known = shield(velocities, positions, config)
+        return [jnp.hypot(each[:, 0], each[:, 1]) for each in (seen, known)]
+
+    # No robot is near a wall, so all velocities keep their directions.
+    seen, known = lengths(positions)
+    np.testing.assert_allclose(seen, known, rtol=1e-4, atol=1e-5)
+    assert known.min() < 0.1 < known.max()
+
+
+@given(
+    gap=st.floats(1e-4, 5.0),
+    angle=st.floats(0, 2 * np.pi),
+    share=st.floats(0.01, 0.49),
+    speeds=st.tuples(st.floats(0, 10), st.floats(0, 10)),
+)
+def test_two_robots_that_rush_at_each_other_keep_the_rest_of_the_gap(gap, angle, share, speeds):
+    direction = np.array([np.cos(angle), np.sin(angle)])
+    positions = np.stack([np.zeros(2), (2 * RADIUS + gap) * direction]).astype(np.float32)
+    velocities = (np.array(speeds)[:, None] * np.stack([direction, -direction])).astype(np.float32)
+    shortened = np.asarray(shorten(share, jnp.asarray(velocities), jnp.asarray(positions))).astype(float)
+    limit = share * gap
+    np.testing.assert_allclose(np.hypot(*shortened.T), np.minimum(speeds, limit), rtol=1e-3, atol=3e-5)
+    assert oracle.closest_approach(positions[0], positions[1], *shortened) >= 2 * RADIUS + (1 - 2 * share) * gap - 1e-5
+
+
+@jax.jit
+def shorten(share, velocities, positions):
+    return ClearanceShield(share)(velocities, positions, world_of(2))
+
+
+def test_touching_robots_get_free_and_twice_as_far_each_time():
+    positions = np.array([[0.0, 0.0], [2 * RADIUS + 1e-3, 0.0]])
+    gaps = []
+    for _ in range(9):
+        gaps.append(positions[1, 0] - positions[0, 0] - 2 * RADIUS)
+        wanted = jnp.asarray([[-9.0, 0.0], [9.0, 0.0]], jnp.float32)
+        positions = positions + np.asarray(shorten(0.49, wanted, jnp.asarray(positions, jnp.float32)))
+    np.testing.assert_allclose(np.array(gaps[1:]) / gaps[:-1], 1.98, rtol=0.03)
+
+
+def test_coincident_robots_stay_and_nothing_is_not_a_number():
+    positions = jnp.zeros((2, 2))
+    np.testing.assert_array_equal(shorten(0.49, jnp.ones((2, 2)), positions), jnp.zeros((2, 2)))
+    gradient = jax.grad(lambda v: shorten(0.49, v, positions + jnp.array([[0.0], [5.0]])).sum())(jnp.zeros((2, 2)))
+    assert np.isfinite(gradient).all()
+
+
+@pytest.mark.parametrize(
+    ("scheduler", "cycle", "steps"),
+    [
+        (FsyncScheduler(), 0.5, 1),
+        (SsyncScheduler(), 0.5, 1),
+        (AsyncScheduler(max_delay=0, max_move_steps=1), 0.5, 1),
+        (AsyncScheduler(max_delay=1, max_move_steps=1), 0.2, 1),  # c = (1 - c) / 4
+        (AsyncScheduler(), 0.12653, 4),  # c = (1 - c)^5 / 4
+    ],
+)
+def test_the_share_follows_from_the_schedulers_numbers(scheduler, cycle, steps):
+    assert safe_share(scheduler) == pytest.approx(0.98 * cycle / steps, rel=1e-4)
+    assert ClearanceShield().prepare(scheduler).share == safe_share(scheduler)
+
+
+class Endless(Scheduler):
+    """States neither its delays nor how long moves take."""
+
+    def activate(self, key, clock):
+        zero = jnp.zeros_like(clock.idle)
+        return Activation(zero == 0, zero, zero, zero + 1, zero + 1.0)
+
+    @property
+    def period(self):
+        return 1
+
+
+def test_what_cannot_be_served_is_refused():
+    with pytest.raises(
+        InputError, match=r"scheduler .*Endless states no max_delay and max_move_steps, and none is safe"
+    ):
+        ClearanceShield().prepare(Endless())
+    with pytest.raises(InputError, match=r"^shield.share = 0.3: must be at most 0.031, which is safe under .* async"):
+        presets.resolve("C", {"shield": {"use": "clearance", "share": 0.3}, "scheduler": {"use": "async"}})
+    with pytest.raises(InputError, match=r"^shield.share = 0: must be > 0"):
+        presets.resolve("C", {"shield": {"use": "clearance", "share": 0}})
+    assert presets.resolve("C", {"shield": {"use": "clearance"}}).prepared_shield.share == pytest.approx(0.49)
