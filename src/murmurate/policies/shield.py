@@ -165,7 +165,12 @@ class ClearanceShield(Shield):
         speed = _length(velocities[:, 0], velocities[:, 1])
         shortened = velocities * jnp.where(speed > limit, limit / jnp.where(speed > limit, speed, 1.0), 1.0)[:, None]
         walls = _walls(observation, world)
-        return shortened if walls is None else limit_wall_approach(shortened, walls, share)
+        if walls is None:
+            return shortened
+        # What the first time leaves of a long velocity towards a wall is rounded; the second time removes that too.
+        for _ in range(2):
+            shortened = limit_wall_approach(shortened, walls, share, _rounding(world))
+        return shortened
 
 
 ROUNDING = 0.98
@@ -214,7 +219,10 @@ _EPSILON = float(jnp.finfo(jnp.float32).eps)
 
 
 def limit_wall_approach(
-    velocity: Float[Array, "robots 2 *batch"], walls: Float[Array, "robots 4 2 *batch"], share: Any = WALL_SHARE
+    velocity: Float[Array, "robots 2 *batch"],
+    walls: Float[Array, "robots 4 2 *batch"],
+    share: Any = WALL_SHARE,
+    rounding: Any = 0.0,
 ) -> Float[Array, "robots 2 *batch"]:
     """Shortens velocities so that no robot goes more than a share of its distance from a wall in a step.
 
@@ -222,9 +230,11 @@ def limit_wall_approach(
         velocity: Of each robot, world units per step.
         walls: The nearest point of each wall relative to the robot, world units, opposite walls two places apart.
         share: The share.
+        rounding: Distance that counts as none, world units.
     """
     normal, distance = wall_directions(walls)
-    excess = jnp.maximum(jnp.sum(velocity[:, None] * normal, axis=2) - share * distance, 0.0)
+    limit = share * jnp.maximum(distance - rounding, 0.0)
+    excess = jnp.maximum(jnp.sum(velocity[:, None] * normal, axis=2) - limit, 0.0)
     return velocity - jnp.sum(excess[:, :, None] * normal, axis=1)
 
 
