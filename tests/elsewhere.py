@@ -53,8 +53,8 @@ def main(run: str, out: str) -> None:
     from murmurate.runs.execute import count_cores
     from murmurate.runs.folder import RunFolder
 
-    for words in ["--help"], ["sweep", "--help"], ["table", run], ["experiments"]:
-        assert main(words) == 0, words
+    for arguments in ["--help"], ["sweep", "--help"], ["table", run], ["experiments"]:
+        assert main(arguments) == 0, arguments
     folder = RunFolder(run)
     assert folder.inspect(resume=True) == "finished"
     manifest, config = folder.verify(), folder.experiment()

@@ -11,7 +11,7 @@ import jax
 import jaxtyping
 import numpy as np
 from beartype import BeartypeConf, FrozenDict, beartype
-from beartype.roar import BeartypeCallHintViolation
+from beartype.roar import BeartypeCallHintParamViolation
 from jax import export
 
 __all__ = ["check_types", "install"]
@@ -76,9 +76,10 @@ def check_types(function):
             return function(*args, **kwargs)
         try:
             return checked()(*args, **kwargs)
-        except BeartypeCallHintViolation:
+        except BeartypeCallHintParamViolation:
             if _called_by_the_package():
                 raise
+        return function(*args, **kwargs)
 
     return check
 

@@ -31,8 +31,8 @@ def normalized(name):
 def pinned(constraints):
     """Returns the versions of a constraints file by name."""
     lines = (ROOT / constraints).read_text(encoding="utf-8").splitlines()
-    found = [re.fullmatch(r"([\w.-]+)==(\S+)", line).groups() for line in lines if not line.startswith("#")]
-    return {normalized(name): Version(version) for name, version in found}
+    result = [re.fullmatch(r"([\w.-]+)==(\S+)", line).groups() for line in lines if not line.startswith("#")]
+    return {normalized(name): Version(version) for name, version in result}
 
 
 def requirements(*extras):
@@ -71,10 +71,12 @@ def test_make_installs_nothing_into_an_environment_that_has_what_is_needed(tmp_p
         for name in (".core", ".dev", "log"):
             (tmp_path / name).unlink(missing_ok=True)
         (tmp_path / "packages").write_text(" ".join(packages), encoding="utf-8")
-        words = ["make", f"VENV={tmp_path}", f"PYTHON={python}", f"{tmp_path}/.dev"]
-        subprocess.run(words, cwd=ROOT, check=True, capture_output=True)
+        arguments = ["make", f"VENV={tmp_path}", f"PYTHON={python}", f"{tmp_path}/.dev"]
+        subprocess.run(arguments, cwd=ROOT, check=True, capture_output=True)
         log = (tmp_path / "log").read_text(encoding="utf-8").splitlines() if (tmp_path / "log").exists() else []
-        subprocess.run(words, cwd=ROOT, check=True, capture_output=True)  # the stamps are there: nothing is to be done
+        subprocess.run(
+            arguments, cwd=ROOT, check=True, capture_output=True
+        )  # the stamps are there: nothing is to be done
         return [line.rpartition(" ")[2] for line in log if "-m venv" in line or "install" in line]
 
     assert installed("murmurate", "pytest", "sphinx") == []

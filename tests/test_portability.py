@@ -29,10 +29,10 @@ def test_no_module_that_windows_lacks_is_imported(folder):
 
 
 def test_another_system_reads_runs_and_shows_help(tiny_run, tmp_path):
-    words = [ROOT / "tests" / "elsewhere.py", tiny_run(), tmp_path / "copy"]
+    arguments = [ROOT / "tests" / "elsewhere.py", tiny_run(), tmp_path / "copy"]
     plain = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0", "PYTHONIOENCODING": "cp1252"}
     ended = subprocess.run(
-        [sys.executable, "-X", "warn_default_encoding", *words],
+        [sys.executable, "-X", "warn_default_encoding", *arguments],
         env={**os.environ, **plain, "PYTHONPATH": os.pathsep.join(sys.path)},
         capture_output=True,
         check=False,

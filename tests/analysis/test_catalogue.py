@@ -157,8 +157,8 @@ def test_noisy_patterns_of_each_kind_are_a_class():
     assert nine.seeds == {"F equivariant 0": 8}
     assert [pattern.name for pattern in catalogue.classes] == ["P1", "P2"]
     assert [pattern.value for pattern in catalogue.classes] == sorted([ten.value, nine.value], reverse=True)
-    for pattern, found in ((ten, rings), (nine, others)):
-        assert pattern.value == max(one.value for one in found) == pattern.representative.value
+    for pattern, result in ((ten, rings), (nine, others)):
+        assert pattern.value == max(one.value for one in result) == pattern.representative.value
         assert pattern.symmetry == symmetry(pattern.representative.positions)
         assert 0 < pattern.spread <= TOLERANCE
     assert [one.value for one in catalogue.findings] == sorted((one.value for one in rings + others), reverse=True)
@@ -325,6 +325,6 @@ def test_many_different_patterns_are_told_apart_fast(monkeypatch):
 
     monkeypatch.setattr("murmurate.analysis.catalogue.distance", count)
     rng = np.random.default_rng(0)
-    found = [finding(rng.normal(scale=10, size=(10, 2)), 4 - i / 1000, i) for i in range(200)]
-    assert len(Catalogue.from_findings(found).classes) == 200
+    result = [finding(rng.normal(scale=10, size=(10, 2)), 4 - i / 1000, i) for i in range(200)]
+    assert len(Catalogue.from_findings(result).classes) == 200
     assert len(counted) < 1000  # of 19,900 pairs

@@ -18,10 +18,10 @@ WORLD = WorldConfig(robots=5, half_width=32.5, half_height=32.5)
 @pytest.mark.parametrize("objective", ["C1", "C2"])
 def test_a_short_search_finds_the_best_known_five(objective):
     config = OptimumConfig(replace(WORLD, scan_radius=100.0), objective, annealing=SHORT, polished=6)
-    found = search(config)
-    assert found[0].valid
-    assert found[0].value == pytest.approx(best_known(config.target), abs=1e-8)
-    values = [one.value for one in found if one.valid]
+    result = search(config)
+    assert result[0].valid
+    assert result[0].value == pytest.approx(best_known(config.target), abs=1e-8)
+    values = [one.value for one in result if one.valid]
     assert values == sorted(values, reverse=True)
 
 
@@ -36,6 +36,7 @@ def test_annealing_alone_is_as_many_ends_as_are_polished():
     assert annealed(replace(config, polished=0)) == []
 
 
+@pytest.mark.nightly
 def test_basin_hopping_agrees_with_annealing():
     config = OptimumConfig(WORLD, "C1", annealing=SHORT, polished=3, hops=4)
     checked = hop(config)
@@ -63,7 +64,7 @@ def test_weights_decide_what_is_given_up():
 
 
 def test_chains_never_overlap_and_stay_inside():
-    found = anneal(
+    result = anneal(
         lambda positions: -((positions - 7.0) ** 2).sum(axis=(0, 1)),
         robots=4,
         radius=1.0,
@@ -72,11 +73,11 @@ def test_chains_never_overlap_and_stay_inside():
         seed=0,
         config=SHORT,
     )
-    assert found.shape == (32, 4, 2)
-    assert (np.abs(found) <= [8.0, 9.0]).all()
-    apart = np.hypot(*np.moveaxis(found[:, :, None] - found[:, None], -1, 0)) + 9 * np.eye(4)
+    assert result.shape == (32, 4, 2)
+    assert (np.abs(result) <= [8.0, 9.0]).all()
+    apart = np.hypot(*np.moveaxis(result[:, :, None] - result[:, None], -1, 0)) + 9 * np.eye(4)
     assert apart.min() > 2.0
-    scores = -((found - 7.0) ** 2).sum(axis=(1, 2))
+    scores = -((result - 7.0) ** 2).sum(axis=(1, 2))
     assert (np.diff(scores) <= 1e-3).all()
 
 

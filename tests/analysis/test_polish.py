@@ -56,31 +56,31 @@ def test_a_small_step_outside_the_constraints_is_taken_back(objective, size):
 @pytest.mark.parametrize("objective", ["C1", "C2"])
 def test_a_wide_ring_shrinks_to_one_that_cannot_be_improved(objective):
     target = Target(WORLD, objective)
-    found = polish(1.7 * smallest_ring(8, 1.0, 5.0).positions, target)
-    assert target.is_valid(found)
-    assert target.value(found) >= target.value(smallest_ring(8, 1.0, 5.0).positions) - 1e-9
+    result = polish(1.7 * smallest_ring(8, 1.0, 5.0).positions, target)
+    assert target.is_valid(result)
+    assert target.value(result) >= target.value(smallest_ring(8, 1.0, 5.0).positions) - 1e-9
     rng = np.random.default_rng(0)
     for size in (1e-2, 1e-4, 1e-6):
         for _ in range(200):
-            nearby = found + size * rng.normal(size=found.shape)
-            assert not target.is_valid(nearby) or target.value(nearby) < target.value(found) + 1e-9
+            nearby = result + size * rng.normal(size=result.shape)
+            assert not target.is_valid(nearby) or target.value(nearby) < target.value(result) + 1e-9
 
 
 @pytest.mark.parametrize("objective", ["C1", "C2"])
 def test_two_and_three_robots_end_where_it_is_proved_best(objective):
     for robots in (2, 3):
         target = Target(replace(WORLD, robots=robots), objective)
-        found = polish(scattered(3, robots), target)
-        assert target.is_valid(found)
-        assert target.value(found) == pytest.approx(target.value(smallest_ring(robots, 1.0, 5.0).positions), abs=1e-8)
+        result = polish(scattered(3, robots), target)
+        assert target.is_valid(result)
+        assert target.value(result) == pytest.approx(target.value(smallest_ring(robots, 1.0, 5.0).positions), abs=1e-8)
 
 
 def test_a_robot_may_end_on_the_gathering_point():
     star = np.concatenate([[[0.3, 0.2]], 9 * smallest_ring(5, 1.0, 5.0).positions / smallest_ring(5, 1.0, 5.0).radius])
     target = Target(replace(WORLD, robots=6), "C1")
-    found = polish(star, target)
-    assert target.is_valid(found)
-    assert np.hypot(*found.T).min() < 1e-6
+    result = polish(star, target)
+    assert target.is_valid(result)
+    assert np.hypot(*result.T).min() < 1e-6
 
 
 @pytest.mark.parametrize("reading", ["penalty", "shell"])

@@ -53,17 +53,17 @@ PATTERNS = {
 @pytest.mark.parametrize(("points", "name"), PATTERNS.values(), ids=PATTERNS)
 @pytest.mark.parametrize("seed", range(3))
 def test_exact_patterns(points, name, seed):
-    found = symmetry(moved(points, seed))
-    assert found.name == name
-    assert found.residual < 1e-7
+    result = symmetry(moved(points, seed))
+    assert result.name == name
+    assert result.residual < 1e-7
 
 
 @pytest.mark.parametrize("around", [False, True])
 @pytest.mark.parametrize("robots", range(2, 16))
 def test_rings(robots, around):
-    found = symmetry(moved(np.vstack([ring(robots), CENTRE]) if around else ring(robots), robots))
-    assert (found.rotations, found.mirrored, found.name) == (robots, True, f"D_{robots}")
-    assert found.residual < 1e-7
+    result = symmetry(moved(np.vstack([ring(robots), CENTRE]) if around else ring(robots), robots))
+    assert (result.rotations, result.mirrored, result.name) == (robots, True, f"D_{robots}")
+    assert result.residual < 1e-7
 
 
 @pytest.mark.parametrize("robots", [6, 9])
@@ -78,10 +78,10 @@ def test_a_ring_around_a_robot_is_no_ring_of_one_more(robots):
 def test_noise_is_tolerated_and_measured(robots):
     rng = np.random.default_rng(robots)
     for size in (0.003, 0.01, 0.03):
-        found = symmetry(moved(ring(robots) + rng.normal(size=(robots, 2)) * size, robots))
-        assert found.name == f"D_{robots}"
+        result = symmetry(moved(ring(robots) + rng.normal(size=(robots, 2)) * size, robots))
+        assert result.name == f"D_{robots}"
         # Two images, each displaced in two directions, apart.
-        assert 0.3 * size < found.residual < 3 * 2 * size
+        assert 0.3 * size < result.residual < 3 * 2 * size
     assert symmetry(ring(robots) + rng.normal(size=(robots, 2)) * 0.03, tolerance=1e-3).name == "none"
 
 
@@ -90,24 +90,24 @@ def test_what_was_built_symmetric_is_found_so(k, orbits, around, seed):
     rng = np.random.default_rng(seed)
     turned = [np.exp(2j * np.pi * np.arange(k) / k) * complex(*rng.normal(size=2)) for _ in range(orbits)]
     z = np.concatenate([*turned, np.zeros(int(around))])
-    found = symmetry(moved(np.stack([z.real, z.imag], axis=1), seed), tolerance=1e-6)
-    assert found.rotations % k == 0
+    result = symmetry(moved(np.stack([z.real, z.imag], axis=1), seed), tolerance=1e-6)
+    assert result.rotations % k == 0
     # One orbit is a regular polygon (or two robots).
-    assert found.mirrored or orbits > 1
+    assert result.mirrored or orbits > 1
 
 
 @given(st.integers(2, 6), st.integers(0, 1000))
 def test_the_residual_against_every_relabelling(robots, seed):
     points = np.random.default_rng(seed).normal(size=(robots, 2))
     z, orders = complex_and_normal(points), list(itertools.permutations(range(robots)))
-    found = symmetry(points, tolerance=10)
-    squares = [np.mean(np.abs(z - z[list(s)] * np.exp(2j * np.pi / found.rotations)) ** 2) for s in orders]
+    result = symmetry(points, tolerance=10)
+    squares = [np.mean(np.abs(z - z[list(s)] * np.exp(2j * np.pi / result.rotations)) ** 2) for s in orders]
     # The mirror whose axis is at half the angle a takes z to exp(ia) conj(z); the best angle overlaps best.
     overlap = max(abs(np.mean(z * z[list(order)])) for order in orders)
     mirror = math.sqrt(max(2 - 2 * overlap, 0))
-    turn = math.sqrt(min(squares)) if found.rotations > 1 else 0.0
-    assert found.mirrored
-    assert found.residual == pytest.approx(max(turn, mirror), abs=1e-7)
+    turn = math.sqrt(min(squares)) if result.rotations > 1 else 0.0
+    assert result.mirrored
+    assert result.residual == pytest.approx(max(turn, mirror), abs=1e-7)
 
 
 def test_the_mirror_against_every_axis():

@@ -19,9 +19,9 @@ START = "start,x,y\n0,-5,0\n0,0,0\n0,5,0\n"
 def refused(tmp_path, capsys, monkeypatch):
     """Runs a command in an empty folder, checks that it is refused, and returns its line."""
 
-    def run(*words, files=0):
+    def run(*arguments, files=0):
         capsys.readouterr()
-        assert main([str(word) for word in words]) == 2
+        assert main([str(word) for word in arguments]) == 2
         out, err = capsys.readouterr()
         assert out == ""
         assert err.startswith("murmurate: ")
@@ -39,7 +39,7 @@ def contents(folder):
 
 
 @pytest.mark.parametrize(
-    ("words", "line"),
+    ("arguments", "line"),
     [
         ("discover", "the following arguments are required: EXPERIMENT"),
         ("discover G", "experiment = 'G': must be one of A, B, C, D, E, F, or a TOML file"),
@@ -100,8 +100,8 @@ def contents(folder):
         ("experiments A --learner best", "learner = 'best': must be one of"),
     ],
 )
-def test_bad_words(refused, words, line):
-    assert line in refused(*words.split())
+def test_bad_words(refused, arguments, line):
+    assert line in refused(*arguments.split())
 
 
 @pytest.mark.parametrize(
@@ -247,9 +247,9 @@ def test_a_read_only_disk(tiny_toml, refused):
 
 def test_the_process_says_it_too(tmp_path):
     code = "import sys; from murmurate.cli.main import main; sys.exit(main(sys.argv[1:]))"
-    words = ["discover", "C", "--world.radius", "-1"]
+    arguments = ["discover", "C", "--world.radius", "-1"]
     result = subprocess.run(
-        [sys.executable, "-c", code, *words], cwd=tmp_path, capture_output=True, text=True, check=False
+        [sys.executable, "-c", code, *arguments], cwd=tmp_path, capture_output=True, text=True, check=False
     )
     assert (result.returncode, result.stdout) == (2, "")
     assert result.stderr == "murmurate: world.radius = -1.0: must be a finite number > 0 and <= 1e+09\n"

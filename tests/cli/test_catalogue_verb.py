@@ -22,8 +22,8 @@ def second(tmp_path_factory):
     return folder / "run"
 
 
-def refused(capsys, words, *parts):
-    assert main(["catalogue", *map(str, words), "--quiet"]) == 2
+def refused(capsys, arguments, *parts):
+    assert main(["catalogue", *map(str, arguments), "--quiet"]) == 2
     out, err = capsys.readouterr()
     assert out == ""
     assert err.count("\n") == 1
@@ -86,9 +86,16 @@ def folder_of(path, robots, radius, value=3.9, gap=None):
     """A catalogue with one finding, a ring."""
     angles = 2 * np.pi * np.arange(robots) / robots
     ring = 9 * np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    told = {"objective": "C2", "value": value, "gap": gap, "experiment": "ring", "policy": "central", "start": "random"}
+    reported = {
+        "objective": "C2",
+        "value": value,
+        "gap": gap,
+        "experiment": "ring",
+        "policy": "central",
+        "start": "random",
+    }
     sizes = {"radius": radius, "safe_distance": 5.0, "scan_radius": 50.0}
-    finding = Finding(positions=ring, **sizes, **told, seed=0, run=path.name, episode=0)
+    finding = Finding(positions=ring, **sizes, **reported, seed=0, run=path.name, episode=0)
     catalogues.write(Catalogue.from_findings([finding]), path)
     return path
 
@@ -97,8 +104,8 @@ def test_what_cannot_be_put_together(tmp_path, capsys):
     three, four = folder_of(tmp_path / "three", 3, 1.0), folder_of(tmp_path / "four", 4, 1.0)
     small, out = folder_of(tmp_path / "small", 3, 0.9), tmp_path / "out"
     refused(capsys, [three, four, "--out", out], "robots = [3, 4]: must be the same number in all findings")
-    words = [three, small, "--no-scaling", "--tolerance", "1", "--out", out]
-    refused(capsys, words, "radius = [0.9, 1.0]: must be the same in all findings")
+    arguments = [three, small, "--no-scaling", "--tolerance", "1", "--out", out]
+    refused(capsys, arguments, "radius = [0.9, 1.0]: must be the same in all findings")
     assert not out.exists()
     assert main(["catalogue", str(three), str(small), "--out", str(out)]) == 0
 

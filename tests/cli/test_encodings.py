@@ -17,12 +17,12 @@ from murmurate.runs import escape
 def said(monkeypatch):
     """Runs a command whose output goes to a terminal or a pipe of an encoding; returns status, stdout and stderr."""
 
-    def run(encoding, errors, *words):
+    def run(encoding, errors, *arguments):
         out = io.TextIOWrapper(io.BytesIO(), encoding=encoding, errors=errors)
         err = io.TextIOWrapper(io.BytesIO(), encoding=encoding, errors="backslashreplace")
         monkeypatch.setattr(sys, "stdout", out)
         monkeypatch.setattr(sys, "stderr", err)
-        status = main([str(word) for word in words])
+        status = main([str(word) for word in arguments])
         out.flush()
         err.flush()
         assert (out.errors, err.errors) == (errors, "backslashreplace")
@@ -50,7 +50,7 @@ def test_output_is_replaced_where_it_cannot_be_encoded(
     monkeypatch.chdir(folder)
     shutil.copytree(discovered, folder / "other")
     (folder / "line.csv").write_text("start,x,y\n0,-6,0\n0,0,0\n0,6,0\n")
-    for words, part in {
+    for arguments, part in {
         ("discover", tiny_toml, "--out", name, "--resume"): f"picture: {shown}",
         ("evaluate", name, "--out", f"{name}2"): f"picture: {shown}2",
         ("evaluate", name, "--starts", "line.csv", "--out", f"{name}3"): f"picture: {shown}3",
@@ -61,10 +61,10 @@ def test_output_is_replaced_where_it_cannot_be_encoded(
         ("catalogue", name, "--out", f"{name}5"): f"plate: {shown}5",
         ("export", name, "--trajectories", "csv", "--episodes", "1"): f"waypoints: {shown}.csv",
     }.items():
-        status, out, err = said(encoding, errors, *words)
-        assert (status, part in out, "Traceback" in err) == (0, True, False), (words, out, err)
-    for words in (("evaluate", f"{name}9"), ("discover", "C", "--world.robots", name), (name,)):
-        status, out, err = said(encoding, errors, *words)
+        status, out, err = said(encoding, errors, *arguments)
+        assert (status, part in out, "Traceback" in err) == (0, True, False), (arguments, out, err)
+    for arguments in (("evaluate", f"{name}9"), ("discover", "C", "--world.robots", name), (name,)):
+        status, out, err = said(encoding, errors, *arguments)
         assert (status, out, err.count("\n")) == (2, "", 1)
     assert run.exists()
 
@@ -72,7 +72,7 @@ def test_output_is_replaced_where_it_cannot_be_encoded(
 def test_the_page_of_a_comparison_holds_the_command_whatever_its_names(said, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     name = os.fsdecode(b"d\xe9p")
-    words = ("compare", "--methods", "learned", "--robots", "3", "--episodes", "2", "--out", name)
-    status, out, _ = said("ascii", "strict", *words)
+    arguments = ("compare", "--methods", "learned", "--robots", "3", "--episodes", "2", "--out", name)
+    status, out, _ = said("ascii", "strict", *arguments)
     assert (status, "table: d?p" in out) == (0, True)
     assert r"--out 'd\udce9p'" in (tmp_path / name / "comparison.md").read_text("utf-8")

@@ -13,8 +13,8 @@ from murmurate.cli.main import main
 pytestmark = pytest.mark.filterwarnings("ignore:::(jax2onnx|onnx|onnx_ir|flax|orbax|google).*")
 
 
-def complaint(capsys, words):
-    assert main(words) == 2
+def complaint(capsys, arguments):
+    assert main(arguments) == 2
     out, err = capsys.readouterr()
     assert out == ""
     assert err.count("\n") == 1
@@ -49,12 +49,12 @@ def test_one_policy_has_no_memory(discovered, tmp_path, capsys):
 @pytest.mark.parametrize("kind", ["csv", "json"])
 def test_waypoints(discovered, tmp_path, monkeypatch, capsys, kind):
     monkeypatch.chdir(tmp_path)
-    words = ["export", str(discovered), "--trajectories", kind, "--scale", "0.05", "--episodes", "3"]
-    assert main(words) == 0
+    arguments = ["export", str(discovered), "--trajectories", kind, "--scale", "0.05", "--episodes", "3"]
+    assert main(arguments) == 0
     out = capsys.readouterr().out
     assert "metres per world unit: 0.05" in out
     assert out.endswith(f"waypoints: central.{kind}\n")
-    assert f"central.{kind} exists" in complaint(capsys, words)
+    assert f"central.{kind} exists" in complaint(capsys, arguments)
 
 
 def test_wrong_words_are_one_line_and_write_nothing(discovered, tmp_path, monkeypatch, capsys):
@@ -77,8 +77,8 @@ def test_wrong_words_are_one_line_and_write_nothing(discovered, tmp_path, monkey
         (run, "--onnx", "--out", "missing/x.onnx"): "there is no folder missing",
         (run, "--onyx"): "unknown flag --onyx; did you mean --onnx?",
     }
-    for words, text in wrong.items():
-        assert text in complaint(capsys, ["export", *words])
+    for arguments, text in wrong.items():
+        assert text in complaint(capsys, ["export", *arguments])
     assert list(tmp_path.iterdir()) == []
 
 
@@ -87,5 +87,5 @@ def test_a_missing_extra_says_how_to_install_it(discovered, tmp_path, monkeypatc
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.delattr(interop, "onnx", raising=False)
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
-    words = ["export", str(discovered), "--onnx", "--out", str(tmp_path / "x.onnx")]
-    assert 'pip install "murmurate[onnx]"' in complaint(capsys, words)
+    arguments = ["export", str(discovered), "--onnx", "--out", str(tmp_path / "x.onnx")]
+    assert 'pip install "murmurate[onnx]"' in complaint(capsys, arguments)

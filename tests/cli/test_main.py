@@ -32,8 +32,8 @@ def raising(error):
 
 
 def test_help_and_version(capsys):
-    for words in ([], ["--help"], ["-h"], ["help"]):
-        assert command.main(words) == 0
+    for arguments in ([], ["--help"], ["-h"], ["help"]):
+        assert command.main(arguments) == 0
         text = capsys.readouterr().out
         assert all(name in text for name in command.VERBS)
     assert command.main(["--version"]) == 0

@@ -11,8 +11,8 @@ from murmurate.runs.experiment import load
 from murmurate.runs.folder import RunFolder
 
 
-def discover(tiny_toml, out, *words):
-    return main(["discover", str(tiny_toml), "--out", str(out), *words])
+def discover(tiny_toml, out, *arguments):
+    return main(["discover", str(tiny_toml), "--out", str(out), *arguments])
 
 
 def test_seeds_are_runs_of_their_own_and_fill_one_catalogue(tiny_toml, discovered, tmp_path, capsys):
@@ -37,8 +37,8 @@ def test_seeds_are_runs_of_their_own_and_fill_one_catalogue(tiny_toml, discovere
 
 
 def test_side_by_side_they_end_as_in_turn(tiny_toml, discovered, tmp_path, capsys):
-    words = ["--seeds", "2", "--together", "3", "--vary", "auxiliary.ppo.discount=0.8,0.9"]
-    assert discover(tiny_toml, tmp_path, *words) == 0
+    arguments = ["--seeds", "2", "--together", "3", "--vary", "auxiliary.ppo.discount=0.8,0.9"]
+    assert discover(tiny_toml, tmp_path, *arguments) == 0
     alone, beside = discovered, tmp_path / "tiny-central-seed0-discount0.9"
     assert load(beside) == load(alone)
     for name in ("0-base", "1-auxiliary"):
@@ -63,24 +63,24 @@ def test_they_are_resumed_and_never_overwritten(tiny_toml, tmp_path, capsys):
 
 
 def test_fields_vary_with_every_seed(tiny_toml, tmp_path, capsys):
-    words = ["--vary", "auxiliary.ppo.discount=0.8,0.9", "--vary", "base.horizon=7", "--seed", "3"]
-    assert discover(tiny_toml, tmp_path, *words) == 0
-    found = {path.name: load(path) for path in tmp_path.iterdir() if "catalogue" not in path.name}
+    arguments = ["--vary", "auxiliary.ppo.discount=0.8,0.9", "--vary", "base.horizon=7", "--seed", "3"]
+    assert discover(tiny_toml, tmp_path, *arguments) == 0
+    result = {path.name: load(path) for path in tmp_path.iterdir() if "catalogue" not in path.name}
     lines = [line for line in capsys.readouterr().out.splitlines() if line.startswith(f"| {tmp_path}")]
     for discount in ("0.8", "0.9"):
         folder = tmp_path / f"tiny-central-seed3-discount{discount}-horizon7"
         start = f"| {folder} | tiny | central | 3 | auxiliary.ppo.discount={discount} |"
         assert sum(line.startswith(start) for line in lines) == 1
-    assert set(found) == {f"tiny-central-seed3-discount{discount}-horizon7" for discount in ("0.8", "0.9")}
-    assert {(one.auxiliary.ppo.discount, one.base.horizon, one.seed) for one in found.values()} == {
+    assert set(result) == {f"tiny-central-seed3-discount{discount}-horizon7" for discount in ("0.8", "0.9")}
+    assert {(one.auxiliary.ppo.discount, one.base.horizon, one.seed) for one in result.values()} == {
         (0.8, 7, 3),
         (0.9, 7, 3),
     }
 
 
 def test_each_begins_with_the_policies_of_one_run(tiny_toml, discovered, tmp_path, capsys):
-    words = ["--from", str(discovered), "--vary", "base.horizon=7,8"]
-    assert discover(tiny_toml, tmp_path, *words) in (0, 3)
+    arguments = ["--from", str(discovered), "--vary", "base.horizon=7,8"]
+    assert discover(tiny_toml, tmp_path, *arguments) in (0, 3)
     folders = [RunFolder(tmp_path / f"tiny-central-seed0-horizon{horizon}") for horizon in (7, 8)]
     checksums = RunFolder(discovered).manifest()["checksums"]
     for folder in folders:
@@ -89,10 +89,10 @@ def test_each_begins_with_the_policies_of_one_run(tiny_toml, discovered, tmp_pat
         assert initial["checksums"].items() <= checksums.items()
     capsys.readouterr()
     # What does not fit is refused before anything is trained.
-    assert discover(tiny_toml, tmp_path / "shapes", *words, "--policy.hidden", "4,4") == 2
+    assert discover(tiny_toml, tmp_path / "shapes", *arguments, "--policy.hidden", "4,4") == 2
     assert "the base policy to begin with has " in capsys.readouterr().err
     assert not (tmp_path / "shapes").exists()
-    other = [*words[2:], "--from", str(folders[0].path), "--resume"]
+    other = [*arguments[2:], "--from", str(folders[0].path), "--resume"]
     assert discover(tiny_toml, tmp_path, *other) == 2
     assert "did not begin with the policies of" in capsys.readouterr().err
 
@@ -103,7 +103,7 @@ def test_no_valid_pattern_in_any_of_them_is_status_3(tiny_toml, tmp_path, capsys
 
 
 @pytest.mark.parametrize(
-    ("words", "message"),
+    ("arguments", "message"),
     [
         (["--seeds", "0"], "--seeds = 0: must be an integer >= 1"),
         (["--seeds", "x"], "--seeds"),
@@ -118,8 +118,8 @@ def test_no_valid_pattern_in_any_of_them_is_status_3(tiny_toml, tmp_path, capsys
         (["--vary", "seed=1,2"], "--vary = 'seed=1,2'"),
     ],
 )
-def test_bad_words_are_one_line_and_leave_nothing(words, message, tiny_toml, tmp_path, capsys):
-    assert discover(tiny_toml, tmp_path / "many", *words) == 2
+def test_bad_words_are_one_line_and_leave_nothing(arguments, message, tiny_toml, tmp_path, capsys):
+    assert discover(tiny_toml, tmp_path / "many", *arguments) == 2
     out, err = capsys.readouterr()
     assert out == ""
     assert message in err

@@ -21,15 +21,15 @@ def test_without_a_word_the_best_known_are_listed(capsys):
 
 def test_a_search_stands_beside_what_is_known(tmp_path, capsys):
     out = tmp_path / "best.json"
-    words = ["optimum", "C", "--world.robots", "4", "--world.half_width", "30", "--world.half_height", "30", *SHORT]
-    assert main([*words, "--hops", "3", "--out", str(out)]) == 0
+    arguments = ["optimum", "C", "--world.robots", "4", "--world.half_width", "30", "--world.half_height", "30", *SHORT]
+    assert main([*arguments, "--hops", "3", "--out", str(out)]) == 0
     shown = capsys.readouterr().out
     for part in ("4 robots, C1", "basin hopping, 3 rounds", "packing bound", "smallest regular ring", "equals it"):
         assert part in shown
     entry = BestKnown.from_dict(json.loads(out.read_text()))
-    assert entry.command == " ".join(["murmurate", *words, "--hops", "3", "--out", str(out)])
+    assert entry.command == " ".join(["murmurate", *arguments, "--hops", "3", "--out", str(out)])
     assert entry.target.is_valid(entry.positions)
-    assert main([*words, "--out", str(out)]) == 2
+    assert main([*arguments, "--out", str(out)]) == 2
     assert f"{out} is there already" in capsys.readouterr().err
 
 
@@ -46,19 +46,19 @@ def test_how_much_is_missing_is_in_percent_of_the_best_known(capsys):
 
 
 def test_where_no_pattern_is_valid_it_says_so(capsys):
-    words = ["optimum", "C", "--world.robots", "5", "--world.scan_radius", "6", *SHORT, "--hops", "1"]
-    assert main(words) == 3
+    arguments = ["optimum", "C", "--world.robots", "5", "--world.scan_radius", "6", *SHORT, "--hops", "1"]
+    assert main(arguments) == 3
     assert "No valid pattern was found" in capsys.readouterr().out
 
 
 def test_weights_are_heeded(capsys):
-    words = ["optimum", "--world.robots", "4", "--weights.gathering", "2", "--only_valid", "false", *SHORT]
-    assert main(words) == 0
+    arguments = ["optimum", "--world.robots", "4", "--weights.gathering", "2", "--only_valid", "false", *SHORT]
+    assert main(arguments) == 0
     assert "best known: none for these sizes" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
-    ("words", "message"),
+    ("arguments", "message"),
     [
         (["Z"], "experiment = 'Z': must be one of A, B, C, D, E, F"),
         (["C", "--world.robots", "1"], "world.robots = 1: must be an integer >= 2"),
@@ -70,8 +70,8 @@ def test_weights_are_heeded(capsys):
         (["C", "--out", "nowhere/best.json"], "nowhere is no folder: choose another --out"),
     ],
 )
-def test_bad_words_are_one_line(words, message, capsys):
-    assert main(["optimum", *words]) == 2
+def test_bad_words_are_one_line(arguments, message, capsys):
+    assert main(["optimum", *arguments]) == 2
     out, err = capsys.readouterr()
     assert out == ""
     assert message in err

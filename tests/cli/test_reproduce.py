@@ -67,8 +67,8 @@ def test_finished_runs_become_a_report(finished, capsys):
 
 def test_options_are_in_the_command_of_the_report(finished):
     (finished / "runs").rename(finished / "my runs")
-    words = ["reproduce", "--quick", "--out", "here", "--runs", "my runs", "--seed", "4"]
-    assert main(words) == 0
+    arguments = ["reproduce", "--quick", "--out", "here", "--runs", "my runs", "--seed", "4"]
+    assert main(arguments) == 0
     assert planning.make_plan.seen == (4, True)
     numbers = files.read_json("here/report.json")
     assert (numbers["command"], numbers["quick"]) == (
@@ -107,7 +107,7 @@ def test_an_interrupted_command_goes_on(work, trained, capsys, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("words", "line"),
+    ("arguments", "line"),
     [
         ("--out mine", "mine holds other files: choose another --out"),
         ("--out mine/notes.txt", "cannot write to mine/notes.txt: Not a directory"),
@@ -118,12 +118,12 @@ def test_an_interrupted_command_goes_on(work, trained, capsys, monkeypatch):
         ("A", "unrecognized arguments: A"),
     ],
 )
-def test_refused_before_anything_is_trained(work, capsys, monkeypatch, words, line):
+def test_refused_before_anything_is_trained(work, capsys, monkeypatch, arguments, line):
     monkeypatch.setattr(train, "advance_together", None)
     for path in ("mine", "bad/tiny-equivariant-seed1"):
         (work / path).mkdir(parents=True)
         (work / path / "notes.txt").write_text("mine")
-    assert main(["reproduce", *words.split()]) == 2
+    assert main(["reproduce", *arguments.split()]) == 2
     out, err = capsys.readouterr()
     assert out == ""
     assert err.startswith(f"murmurate: {line}")

@@ -16,7 +16,7 @@ COMPARE = ["compare", "--methods", "learned", "--robots", "3", "--episodes", "4"
 
 
 @pytest.mark.parametrize(
-    ("words", "lines"),
+    ("arguments", "lines"),
     [
         (
             ["evaluate", "RUN", "--episodes", "8", "--out", "OUT"],
@@ -42,22 +42,22 @@ COMPARE = ["compare", "--methods", "learned", "--robots", "3", "--episodes", "4"
         ),
     ],
 )
-def test_lines_in_a_log_and_none_with_quiet(words, lines, discovered, tmp_path, capsys, monkeypatch):
+def test_lines_in_a_log_and_none_with_quiet(arguments, lines, discovered, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(progress, "CHUNK_SECONDS", math.inf)  # on a slow machine, there are lines about chunks besides
     for index, quiet in enumerate(([], ["--quiet"])):
         places = {"RUN": str(discovered), "OUT": str(tmp_path / f"out{index}"), "OUT.webp": str(tmp_path / "x.webp")}
-        assert main([places.get(word, word) for word in words] + quiet) == 0
+        assert main([places.get(word, word) for word in arguments] + quiet) == 0
         printed = [line.partition("  ")[0] for line in capsys.readouterr().err.splitlines()]
         assert printed == ([] if quiet else lines)
 
 
-@pytest.mark.parametrize("words", [["evaluate", "RUN", "--episodes", "4", "--out", "OUT"], COMPARE])
-def test_long_episodes_are_reported(words, discovered, tmp_path, capsys, monkeypatch):
+@pytest.mark.parametrize("arguments", [["evaluate", "RUN", "--episodes", "4", "--out", "OUT"], COMPARE])
+def test_long_episodes_are_reported(arguments, discovered, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(progress, "CHUNK_SECONDS", 0.0)
     monkeypatch.setattr(cascade, "CHUNK_TRIPLES", 4 * 3**3 * 5)
     for index, quiet in enumerate(([], ["--quiet"])):
         places = {"RUN": str(discovered), "OUT": str(tmp_path / f"out{index}")}
-        assert main([places.get(word, word) for word in words] + quiet) == 0
+        assert main([places.get(word, word) for word in arguments] + quiet) == 0
         lines = [line for line in capsys.readouterr().err.splitlines() if "  step " in line]
         assert bool(lines) == (not quiet)
         assert all(re.search(r"episodes( executed)?: [0-4]/4  step \d+ of [\d,]+ at most", line) for line in lines)
@@ -66,14 +66,16 @@ def test_long_episodes_are_reported(words, discovered, tmp_path, capsys, monkeyp
 def test_the_time_that_is_left_is_told_from_the_second_chunk_on(monkeypatch):
     now = iter([60.0, 61.0, 70.0, 90.0, 100.0])
     monkeypatch.setattr(progress.time, "monotonic", lambda: next(now))
-    told = []
-    on_chunk = progress.on_chunk(lambda *args, **values: told.append((args, values)), "episodes", 9, 1000.0, before=4)
+    reported = []
+    on_chunk = progress.on_chunk(
+        lambda *args, **values: reported.append((args, values)), "episodes", 9, 1000.0, before=4
+    )
     on_chunk(10, 5000, 0)  # with the compilation
     on_chunk(20, 5000, 1)  # too soon for another line
     on_chunk(110, 5000, 1)
     on_chunk(1000, 5000, 4)
     on_chunk(1010, 5000, 6)
-    assert told == [
+    assert reported == [
         (("episodes", 5, 9), {"steps": "step 110 of 5,000 at most, about 89 seconds left"}),
         (("episodes", 8, 9), {"steps": "step 1,000 of 5,000 at most"}),
         (("episodes", 9, 9), {"steps": "step 1,010 of 5,000 at most"}),
@@ -81,7 +83,7 @@ def test_the_time_that_is_left_is_told_from_the_second_chunk_on(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("seconds", "words"), [(3.2, "3 seconds"), (119, "119 seconds"), (600, "10 minutes"), (7200, "2 hours")]
+    ("seconds", "arguments"), [(3.2, "3 seconds"), (119, "119 seconds"), (600, "10 minutes"), (7200, "2 hours")]
 )
-def test_times_in_words(seconds, words):
-    assert progress.duration(seconds) == words
+def test_times_in_words(seconds, arguments):
+    assert progress.duration(seconds) == arguments

@@ -207,10 +207,10 @@ def test_table_leaves_out_what_is_not_finished_and_lists_it(discovered, tmp_path
 
 
 def test_show_names_runs_by_their_folders_and_what_differs(discovered, tmp_path, capsys, monkeypatch):
-    other, told = changed_copy(discovered, tmp_path / "other", "horizon = 8", "horizon = 9"), []
-    monkeypatch.setattr(plots, "patterns_figure", lambda *arguments: told.append(arguments) or new_page(1))
+    other, reported = changed_copy(discovered, tmp_path / "other", "horizon = 8", "horizon = 9"), []
+    monkeypatch.setattr(plots, "patterns_figure", lambda *arguments: reported.append(arguments) or new_page(1))
     assert main(["show", str(discovered), str(other), "--out", str(tmp_path / "both")]) == 0
-    (_, names, notes), out = told[0], capsys.readouterr().out
+    (_, names, notes), out = reported[0], capsys.readouterr().out
     assert names == ["central", "other"]
     assert notes == ["base.horizon=8, auxiliary.horizon=8", "base.horizon=9, auxiliary.horizon=9"]
     assert "other: base.horizon=9, auxiliary.horizon=9\n" in out

@@ -14,8 +14,8 @@ from murmurate.errors import BeyondTrainingWarning, InputError, RunError
 from murmurate.runs import files, pretrained
 
 
-def refused(capsys, words, *parts):
-    assert main([*map(str, words)]) == 2
+def refused(capsys, arguments, *parts):
+    assert main([*map(str, arguments)]) == 2
     out, err = capsys.readouterr()
     assert out == ""
     assert err.count("\n") == 1
@@ -51,12 +51,12 @@ def test_damaged_weights_are_refused(tmp_path, monkeypatch):
 @pytest.mark.parametrize("sensing", ["global", "visible"])
 def test_they_form_patterns_at_once(objective, sensing):
     run = murmurate.pretrained(objective, sensing).of_size(6)
-    ran = run.rollout(20, key=3)
-    seen = murmurate.geometry.visible(ran.final, 1.0, run.experiment.world.scan_radius)
+    trajectories = run.rollout(20, key=3)
+    seen = murmurate.geometry.visible(trajectories.final, 1.0, run.experiment.world.scan_radius)
     assert seen.sum() / (20 * 6 * 5) > 0.95
-    assert ran.at_rest.sum() >= 18
+    assert trajectories.at_rest.sum() >= 18
     if objective == "C1":
-        assert np.linalg.norm(ran.final.mean(axis=1), axis=1).max() < run.experiment.world.safe_distance
+        assert np.linalg.norm(trajectories.final.mean(axis=1), axis=1).max() < run.experiment.world.safe_distance
 
 
 def test_a_scheduler_may_be_chosen():
@@ -93,8 +93,8 @@ def test_a_size_beyond_training_warns_once_and_goes_on():
 
 
 def test_the_command_line_warns_in_one_line(tmp_path, capsys):
-    words = ["compare", "--methods", "learned", "--robots", "30", "--episodes", "1", "--out", str(tmp_path / "out")]
-    assert main([*words, "--quiet"]) == 0
+    arguments = ["compare", "--methods", "learned", "--robots", "30", "--episodes", "1", "--out", str(tmp_path / "out")]
+    assert main([*arguments, "--quiet"]) == 0
     assert (
         capsys.readouterr().err
         == "murmurate: warning: robots = 30: trained were swarms of 3 to 28; others may do worse\n"
@@ -122,7 +122,7 @@ def test_show_writes_the_animation_alone(tmp_path, monkeypatch, capsys):
 
 
 @pytest.mark.parametrize(
-    ("words", "part"),
+    ("arguments", "part"),
     [
         (["--animation", "a.avi"], "--animation = 'a.avi': must be a name that ends in .gif, .webp, .mp4"),
         (["--animation", "a.gif", "--mp4"], "--animation names the only file to write"),
@@ -130,14 +130,14 @@ def test_show_writes_the_animation_alone(tmp_path, monkeypatch, capsys):
         (["run", "other", "--out", "b", "--episode", "1"], "of several runs, only the patterns are drawn"),
     ],
 )
-def test_flags_of_show_that_do_not_go_together(words, part, tmp_path, monkeypatch, capsys):
+def test_flags_of_show_that_do_not_go_together(arguments, part, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    refused(capsys, ["show", *words], part)
+    refused(capsys, ["show", *arguments], part)
     assert not any(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(
-    ("words", "parts"),
+    ("arguments", "parts"),
     [
         (["--robots", "1"], ["robots = 1: must be an integer >= 2"]),
         (["--start", "file"], ["start = 'file': must be one of random, scattered, distributed, packed"]),
@@ -145,8 +145,8 @@ def test_flags_of_show_that_do_not_go_together(words, part, tmp_path, monkeypatc
         (["--robots", "many"], ["--robots"]),
     ],
 )
-def test_show_refuses_what_it_cannot_show(words, parts, tmp_path, capsys):
-    refused(capsys, ["show", *words, "--out", tmp_path / "shown"], *parts)
+def test_show_refuses_what_it_cannot_show(arguments, parts, tmp_path, capsys):
+    refused(capsys, ["show", *arguments, "--out", tmp_path / "shown"], *parts)
     assert not (tmp_path / "shown").exists()
 
 
@@ -154,9 +154,9 @@ def test_the_weights_flags_do_not_go_with_a_run(discovered, capsys):
     refused(capsys, ["show", discovered, "--robots", "5"], "--robots is for the package's weights: give it without RUN")
 
 
-def compared(out, *words):
+def compared(out, *arguments):
     return main(
-        ["compare", "--methods", "learned,random", "--robots", "3,4", "--episodes", "6", "--out", str(out), *words]
+        ["compare", "--methods", "learned,random", "--robots", "3,4", "--episodes", "6", "--out", str(out), *arguments]
     )
 
 
@@ -179,7 +179,7 @@ def test_compare_writes_a_table_and_figures_and_goes_on(tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    ("words", "parts"),
+    ("arguments", "parts"),
     [
         (["--methods", "orca"], ["method = 'orca': must be one of learned, random, centroid"]),
         (["--sensing", "radar"], ["sensing = 'radar': must be one of global, visible, chiral, noisy"]),
@@ -193,8 +193,8 @@ def test_compare_writes_a_table_and_figures_and_goes_on(tmp_path, capsys):
         (["nowhere"], ["nowhere"]),
     ],
 )
-def test_compare_refuses_what_it_cannot_compare(words, parts, tmp_path, capsys):
-    refused(capsys, ["compare", *words, "--out", tmp_path / "comparison"], *parts)
+def test_compare_refuses_what_it_cannot_compare(arguments, parts, tmp_path, capsys):
+    refused(capsys, ["compare", *arguments, "--out", tmp_path / "comparison"], *parts)
     assert not (tmp_path / "comparison").exists()
 
 

@@ -36,5 +36,5 @@ class Implode(eqx.Module):
     always: bool | None = eqx.field(static=True)
 
     def __call__(self, positions):
-        told = positions[1, 0] > 0 if self.always is False else bool(self.always)
-        return jnp.where(told, -10 * positions, 0.0)
+        reported = positions[1, 0] > 0 if self.always is False else bool(self.always)
+        return jnp.where(reported, -10 * positions, 0.0)

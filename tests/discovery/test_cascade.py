@@ -47,36 +47,36 @@ def run(policies, *distances, rule=RULE, on_chunk=None):
     return Cascade(tuple(policies), world(), rule).rollout(starts, on_chunk=on_chunk)
 
 
-def assert_holds_still(ran):
-    for positions, length in zip(ran.positions, ran.lengths, strict=True):
+def assert_holds_still(trajectories):
+    for positions, length in zip(trajectories.positions, trajectories.lengths, strict=True):
         np.testing.assert_array_equal(positions[length:], np.broadcast_to(positions[length], positions[length:].shape))
 
 
 def test_a_policy_rests_a_window_after_its_last_move():
-    ran = run([approach(5)], 5, 6, 10, 18)
-    np.testing.assert_array_equal(ran.lengths, np.array([0, 1, 5, 13]) + WINDOW)
-    assert ran.at_rest.all()
-    assert not ran.terminated.any()
-    assert ran.switch.shape == (4, 0)
-    assert ran.positions.shape == (4, 13 + WINDOW + 1, 2, 2)
-    np.testing.assert_array_equal(ran.final, np.tile([[5.0, 0.0], [-5.0, 0.0]], (4, 1, 1)))
-    assert_holds_still(ran)
+    trajectories = run([approach(5)], 5, 6, 10, 18)
+    np.testing.assert_array_equal(trajectories.lengths, np.array([0, 1, 5, 13]) + WINDOW)
+    assert trajectories.at_rest.all()
+    assert not trajectories.terminated.any()
+    assert trajectories.switch.shape == (4, 0)
+    assert trajectories.positions.shape == (4, 13 + WINDOW + 1, 2, 2)
+    np.testing.assert_array_equal(trajectories.final, np.tile([[5.0, 0.0], [-5.0, 0.0]], (4, 1, 1)))
+    assert_holds_still(trajectories)
 
 
 def test_the_next_policy_takes_over_at_rest():
-    ran = run([approach(8), approach(4)], 10, 8, 5, 4)
-    np.testing.assert_array_equal(ran.switch[:, 0], np.array([2, 0, 0, 0]) + WINDOW)
-    np.testing.assert_array_equal(ran.lengths, np.array([2 + 4, 4, 1, 0]) + 2 * WINDOW)
-    np.testing.assert_array_equal(ran.positions[0, ran.switch[0, 0], :, 0], [8, -8])
-    np.testing.assert_array_equal(ran.final[..., 0], np.tile([4.0, -4.0], (4, 1)))
-    assert ran.at_rest.all()
-    assert_holds_still(ran)
+    trajectories = run([approach(8), approach(4)], 10, 8, 5, 4)
+    np.testing.assert_array_equal(trajectories.switch[:, 0], np.array([2, 0, 0, 0]) + WINDOW)
+    np.testing.assert_array_equal(trajectories.lengths, np.array([2 + 4, 4, 1, 0]) + 2 * WINDOW)
+    np.testing.assert_array_equal(trajectories.positions[0, trajectories.switch[0, 0], :, 0], [8, -8])
+    np.testing.assert_array_equal(trajectories.final[..., 0], np.tile([4.0, -4.0], (4, 1)))
+    assert trajectories.at_rest.all()
+    assert_holds_still(trajectories)
 
 
 def test_every_chunk_is_reported_and_may_end_the_rollout():
-    told = []
-    run([shake(), approach(4)], 8.5, 4, 8.5, 7.5, on_chunk=lambda *numbers: told.append(numbers))
-    assert told == [(30 + 5 + WINDOW, 60, 4)]
+    reported = []
+    run([shake(), approach(4)], 8.5, 4, 8.5, 7.5, on_chunk=lambda *numbers: reported.append(numbers))
+    assert reported == [(30 + 5 + WINDOW, 60, 4)]
 
     def interrupt(*_):
         raise KeyboardInterrupt
@@ -88,9 +88,9 @@ def test_every_chunk_is_reported_and_may_end_the_rollout():
 def test_chunks_of_large_swarms_are_short_and_change_nothing(monkeypatch):
     whole = run([approach(5)], 5, 6, 10, 18)
     monkeypatch.setattr(cascade_module, "CHUNK_TRIPLES", episodes_at_once(2) * 2**3 * 4)
-    told = []
-    short = run([approach(5)], 5, 6, 10, 18, on_chunk=lambda *numbers: told.append(numbers))
-    assert told == [(4, 30, 1), (8, 30, 2), (12, 30, 3), (16, 30, 3), (17, 30, 4)]
+    reported = []
+    short = run([approach(5)], 5, 6, 10, 18, on_chunk=lambda *numbers: reported.append(numbers))
+    assert reported == [(4, 30, 1), (8, 30, 2), (12, 30, 3), (16, 30, 3), (17, 30, 4)]
     np.testing.assert_array_equal(short.positions, whole.positions)
     np.testing.assert_array_equal(short.lengths, whole.lengths)
 
@@ -121,68 +121,68 @@ def test_seeds_that_are_none_are_refused(seed):
 
 
 def test_a_restless_policy_is_cut_off_and_the_next_takes_over():
-    ran = run([shake(), approach(4)], 8.5, 7.5, 8.5, 7.5)
-    np.testing.assert_array_equal(ran.switch[:, 0], 30)
-    np.testing.assert_array_equal(ran.lengths, 30 + np.array([5, 4, 5, 4]) + WINDOW)
-    assert ran.at_rest.all()
-    assert_holds_still(ran)
+    trajectories = run([shake(), approach(4)], 8.5, 7.5, 8.5, 7.5)
+    np.testing.assert_array_equal(trajectories.switch[:, 0], 30)
+    np.testing.assert_array_equal(trajectories.lengths, 30 + np.array([5, 4, 5, 4]) + WINDOW)
+    assert trajectories.at_rest.all()
+    assert_holds_still(trajectories)
 
 
 def test_a_cascade_that_is_cut_off_is_not_at_rest():
-    ran = run([approach(8), shake()], 10, 8, 9, 5)
-    np.testing.assert_array_equal(ran.switch[:, 0], np.array([2, 0, 1, 0]) + WINDOW)
-    np.testing.assert_array_equal(ran.lengths, ran.switch[:, 0] + 30)
-    assert not ran.at_rest.any()
-    assert not ran.terminated.any()
+    trajectories = run([approach(8), shake()], 10, 8, 9, 5)
+    np.testing.assert_array_equal(trajectories.switch[:, 0], np.array([2, 0, 1, 0]) + WINDOW)
+    np.testing.assert_array_equal(trajectories.lengths, trajectories.switch[:, 0] + 30)
+    assert not trajectories.at_rest.any()
+    assert not trajectories.terminated.any()
 
 
 def test_a_long_episode_goes_on_from_look_to_look():
     """The host looks every 50 steps whether all is over; nothing may happen at the seam."""
-    ran = run([shake(), shake()], 8.5, 8.5, 7.5, 6.0, rule=dataclasses.replace(RULE, max_steps=60))
-    np.testing.assert_array_equal(ran.lengths, 120)
-    np.testing.assert_array_equal(ran.switch, np.full((4, 1), 60))
-    np.testing.assert_array_equal(ran.positions[0, :, 0, 0], 8.5 - np.arange(121) % 2)
+    trajectories = run([shake(), shake()], 8.5, 8.5, 7.5, 6.0, rule=dataclasses.replace(RULE, max_steps=60))
+    np.testing.assert_array_equal(trajectories.lengths, 120)
+    np.testing.assert_array_equal(trajectories.switch, np.full((4, 1), 60))
+    np.testing.assert_array_equal(trajectories.positions[0, :, 0, 0], 8.5 - np.arange(121) % 2)
 
 
 def test_a_collision_ends_the_episode_and_no_policy_follows():
-    ran = run([approach(0.5), approach(4)], 10, 1.5, 5.5, 3)
-    np.testing.assert_array_equal(ran.lengths, [9, 1, 5, 2])
-    np.testing.assert_array_equal(ran.switch[:, 0], ran.lengths, err_msg="where it never took over")
-    assert ran.terminated.all()
-    assert not ran.at_rest.any()
-    assert_holds_still(ran)
+    trajectories = run([approach(0.5), approach(4)], 10, 1.5, 5.5, 3)
+    np.testing.assert_array_equal(trajectories.lengths, [9, 1, 5, 2])
+    np.testing.assert_array_equal(trajectories.switch[:, 0], trajectories.lengths, err_msg="where it never took over")
+    assert trajectories.terminated.all()
+    assert not trajectories.at_rest.any()
+    assert_holds_still(trajectories)
 
 
 def test_a_collision_of_the_last_policy_is_no_rest():
-    ran = run([approach(8), approach(0.5)], 10, 19, 8, 9)
-    np.testing.assert_array_equal(ran.switch[:, 0], np.array([2, 11, 0, 1]) + WINDOW)
-    np.testing.assert_array_equal(ran.lengths, ran.switch[:, 0] + 7)
-    assert ran.terminated.all()
-    assert not ran.at_rest.any()
+    trajectories = run([approach(8), approach(0.5)], 10, 19, 8, 9)
+    np.testing.assert_array_equal(trajectories.switch[:, 0], np.array([2, 11, 0, 1]) + WINDOW)
+    np.testing.assert_array_equal(trajectories.lengths, trajectories.switch[:, 0] + 7)
+    assert trajectories.terminated.all()
+    assert not trajectories.at_rest.any()
 
 
 def test_a_policy_that_is_followed_need_not_settle_as_the_last_one_must():
     """A creep that changes the objective by 5e-4 a step is rest for the first policy only."""
     creep = approach(0, speed=5e-4 * 20 * 2**0.5)
-    ran = run([creep, creep], 10, 9, 8, 7)
-    np.testing.assert_array_equal(ran.switch, np.full((4, 1), WINDOW))
-    np.testing.assert_array_equal(ran.lengths, WINDOW + 30)
-    assert not ran.at_rest.any()
+    trajectories = run([creep, creep], 10, 9, 8, 7)
+    np.testing.assert_array_equal(trajectories.switch, np.full((4, 1), WINDOW))
+    np.testing.assert_array_equal(trajectories.lengths, WINDOW + 30)
+    assert not trajectories.at_rest.any()
 
 
 def test_the_window_is_the_rules():
-    ran = run([approach(5)], 10, 5, 6, 19, rule=dataclasses.replace(RULE, window=1))
-    np.testing.assert_array_equal(ran.lengths, np.array([5, 0, 1, 14]) + 1)
+    trajectories = run([approach(5)], 10, 5, 6, 19, rule=dataclasses.replace(RULE, window=1))
+    np.testing.assert_array_equal(trajectories.lengths, np.array([5, 0, 1, 14]) + 1)
 
 
 def test_signals_are_those_of_the_recorded_positions():
-    ran = run([approach(8), approach(2)], 10, 3, 8, 5)
-    assert set(ran.signals) == {"nclose", "safety", "neighbors", "visible"}
+    trajectories = run([approach(8), approach(2)], 10, 3, 8, 5)
+    assert set(trajectories.signals) == {"nclose", "safety", "neighbors", "visible"}
     for episode in range(4):
-        for step, positions in enumerate(ran.positions[episode].astype(float)):
+        for step, positions in enumerate(trajectories.positions[episode].astype(float)):
             expected = oracle.signals(positions, "nclose", 20.0, 20.0, 1.0, 100.0, 5.0, "penalty")
             for name, value in expected.items():
-                np.testing.assert_allclose(ran.signals[name][episode, step], value, atol=1e-5, err_msg=name)
+                np.testing.assert_allclose(trajectories.signals[name][episode, step], value, atol=1e-5, err_msg=name)
 
 
 COMPANY = 70
@@ -220,7 +220,7 @@ def test_an_episode_is_the_same_alone_and_in_company(asynchronous):
     np.testing.assert_array_equal(together.final[0], alone.final[0])
     for field in ("lengths", "switch", "at_rest", "terminated", "epochs"):
         np.testing.assert_array_equal(getattr(together, field)[0], getattr(alone, field)[0], err_msg=field)
-    first, second = (check_validity(ran, SIX) for ran in (alone, together))
+    first, second = (check_validity(trajectories, SIX) for trajectories in (alone, together))
     for field in ("contact_free", "inside", "mutually_visible", "gathered", "safe", "at_rest"):
         assert getattr(first, field)[0] == getattr(second, field)[0], field
 

@@ -93,10 +93,12 @@ def test_a_robot_that_stays_on_a_wall_is_inside(robots):
         if beyond:
             positions[0, 0] = np.nextafter(-sides, np.float32(-np.inf))
         steps, rest = np.zeros(1, int), np.ones(1, bool)
-        ran = Trajectories(np.stack([positions] * 2)[None], steps, np.zeros((1, 0), int), rest, ~rest, {}, steps)
+        trajectories = Trajectories(
+            np.stack([positions] * 2)[None], steps, np.zeros((1, 0), int), rest, ~rest, {}, steps
+        )
         stepping = World.create(world, UniformStart())
         _, transition = stepping.step(stepping.state(jnp.asarray(positions)), jnp.zeros((robots, 2)))
-        assert check_validity(ran, world).inside[0] == (not beyond)
+        assert check_validity(trajectories, world).inside[0] == (not beyond)
         assert bool(transition.terminated) == beyond
         if beyond:
             with pytest.raises(InputError, match="a robot outside"):
@@ -110,14 +112,14 @@ def test_another_worlds_trajectories_are_refused_in_one_line():
     steps, rest = np.zeros(1, int), np.ones(1, bool)
     none = np.zeros((1, 0), int)
     for shape in [(1, 2, 5, 2), (1, 2, 7, 2), (1, 2, 6, 3), (1, 0, 6, 2), (2, 6, 2)]:
-        ran = Trajectories(np.zeros(shape, np.float32), steps, none, rest, ~rest, {}, steps)
+        trajectories = Trajectories(np.zeros(shape, np.float32), steps, none, rest, ~rest, {}, steps)
         with pytest.raises(InputError, match=r"^trajectories.positions = .*\(episodes, steps \+ 1, 6, 2\)") as error:
-            check_validity(ran, WORLD)
+            check_validity(trajectories, WORLD)
         assert "\n" not in str(error.value)
     positions = np.stack([ring(), ring()])[None].astype(np.float32)
-    ran = Trajectories(positions, steps, none, np.ones(2, bool), ~rest, {}, steps)
+    trajectories = Trajectories(positions, steps, none, np.ones(2, bool), ~rest, {}, steps)
     with pytest.raises(InputError, match=r"^trajectories.at_rest = .*\(1,\)"):
-        check_validity(ran, WORLD)
+        check_validity(trajectories, WORLD)
 
 
 def test_two_robots_touched_on_the_way():
@@ -152,8 +154,8 @@ class Wide(Signal):
 def test_signals_of_ones_own_may_have_to_reach_a_value():
     positions = np.stack([ring(), ring(9.0)])[:, None].astype(np.float32)
     zeros = np.zeros(2, int)
-    ran = Trajectories(positions, zeros, np.zeros((2, 0), int), np.ones(2, bool), np.zeros(2, bool), {}, zeros)
-    judged = check_validity(ran, WORLD, {"wide": (Wide(), 8.5)})
+    trajectories = Trajectories(positions, zeros, np.zeros((2, 0), int), np.ones(2, bool), np.zeros(2, bool), {}, zeros)
+    judged = check_validity(trajectories, WORLD, {"wide": (Wide(), 8.5)})
     np.testing.assert_array_equal(judged.signals["wide"], [False, True])
     np.testing.assert_array_equal(judged.valid, [False, True])
 

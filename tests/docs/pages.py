@@ -92,76 +92,80 @@ class Reader:
     def shell(self, text: str) -> None:
         """Tries every command: ours are executed, of others it is checked that what they name exists."""
         for line in text.replace("\\\n", " ").splitlines():
-            words = shlex.split(line, comments=True)
-            while words and re.fullmatch(r"[A-Z_]+=\S*", words[0]):
-                words = words[1:]
-            if not words:
+            arguments = shlex.split(line, comments=True)
+            while arguments and re.fullmatch(r"[A-Z_]+=\S*", arguments[0]):
+                arguments = arguments[1:]
+            if not arguments:
                 continue
-            if words[0] == "srun":
-                words = words[words.index("murmurate") :]
-            program = words[0].removeprefix(".venv/bin/")
+            if arguments[0] == "srun":
+                arguments = arguments[arguments.index("murmurate") :]
+            program = arguments[0].removeprefix(".venv/bin/")
             if program == "murmurate":
-                self.murmurate(words[1:])
+                self.murmurate(arguments[1:])
             elif program.endswith(".sh"):
                 assert os.access(ROOT / program, os.X_OK), f"{self.page}: {program}: no such script"
             else:
                 assert program in _CHECKS, f"{self.page}: nothing checks `{line}`"
-                _CHECKS[program](words[1:])
+                _CHECKS[program](arguments[1:])
 
-    def murmurate(self, words: list[str]) -> None:
+    def murmurate(self, arguments: list[str]) -> None:
         """Executes one of our commands, with a small budget where it would train or run a thousand starts."""
-        assert words[0] in VERBS, f"{self.page}: no verb {words[0]}"
-        if words[0] == "sweep":  # which the tests of sweeps carry out
-            _parser().parse(words[1:])
-            Grid.from_toml(self.folder / words[1])
+        assert arguments[0] in VERBS, f"{self.page}: no verb {arguments[0]}"
+        if arguments[0] == "sweep":  # which the tests of sweeps carry out
+            _parser().parse(arguments[1:])
+            Grid.from_toml(self.folder / arguments[1])
             return
-        if "--hosts" in words:  # which the tests of devices carry out
-            discover._parser("C", words[1:]).parse(words[1:])
+        if "--hosts" in arguments:  # which the tests of devices carry out
+            discover._parser("C", arguments[1:]).parse(arguments[1:])
             return
         small: list[str] = []
-        if words[0] == "discover":
-            small = [*TINY, *self.small_policy(words)]
-        elif words[0] == "evaluate" and "--starts" not in words:
+        if arguments[0] == "discover":
+            small = [*TINY, *self.small_policy(arguments)]
+        elif arguments[0] == "evaluate" and "--starts" not in arguments:
             small = ["--episodes", "8"]
-        elif words[0] == "show" and "--robots" in words:
+        elif arguments[0] == "show" and "--robots" in arguments:
             small = ["--robots", "4"]
-        elif words[0] == "compare":
+        elif arguments[0] == "compare":
             small = ["--robots", "4", "--episodes", "4", "--schedulers", "fsync"]
-            small += [] if "--methods" in words else ["--methods", "learned,circle"]
-        status = main([*words, *small])
+            small += [] if "--methods" in arguments else ["--methods", "learned,circle"]
+        status = main([*arguments, *small])
         # Nothing need have been learned in two updates.
-        assert status in ((0, 3, 5) if words[0] == "discover" else (0,)), f"{self.page}: murmurate {' '.join(words)}"
+        assert status in ((0, 3, 5) if arguments[0] == "discover" else (0,)), (
+            f"{self.page}: murmurate {' '.join(arguments)}"
+        )
 
-    def small_policy(self, words: list[str]) -> list[str]:
+    def small_policy(self, arguments: list[str]) -> list[str]:
         """Returns the flags of a small policy: central compiles fastest; others, in swarms of three."""
         hidden = ["--policy.hidden", "8,8"]
-        if "--policy" in words:
+        if "--policy" in arguments:
             return [*hidden, "--world.robots", "3"]
-        files = [self.folder / word for word in words if word.endswith(".toml")]
+        files = [self.folder / word for word in arguments if word.endswith(".toml")]
         tables = [tomllib.loads(path.read_text("utf-8")).get("policy", {}) for path in files]
         return [] if any(":" in table.get("use", "") for table in tables) else ["--policy", "central", *hidden]
 
 
-def _make(words: list[str]) -> None:
+def _make(arguments: list[str]) -> None:
     targets = set(re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text("utf-8"), re.MULTILINE))
-    assert {word for word in words if "=" not in word} <= targets, f"make {words}: no such target"
+    assert {word for word in arguments if "=" not in word} <= targets, f"make {arguments}: no such target"
 
 
-def _python(words: list[str]) -> None:
-    if words[:2] == ["-m", "pip"]:
-        _pip(words[2:])
-    elif words[:1] == ["-m"]:
-        assert words[1] == "venv" or (ROOT / words[1].split(".")[0]).is_dir(), f"python -m {words[1]}: no such module"
+def _python(arguments: list[str]) -> None:
+    if arguments[:2] == ["-m", "pip"]:
+        _pip(arguments[2:])
+    elif arguments[:1] == ["-m"]:
+        assert arguments[1] == "venv" or (ROOT / arguments[1].split(".")[0]).is_dir(), (
+            f"python -m {arguments[1]}: no such module"
+        )
     else:
-        assert (ROOT / words[0]).is_file(), f"python {words[0]}: no such file"
+        assert (ROOT / arguments[0]).is_file(), f"python {arguments[0]}: no such file"
 
 
-def _pip(words: list[str]) -> None:
+def _pip(arguments: list[str]) -> None:
     """Checks that what is installed is this project, extras of it, or what an extra brings; and that files exist."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
     extras = project["optional-dependencies"]
-    assert words[0] == "install"
-    for flag, word in itertools.pairwise(words):
+    assert arguments[0] == "install"
+    for flag, word in itertools.pairwise(arguments):
         if flag in ("-c", "--constraint"):
             assert (ROOT / word).is_file(), f"pip install {flag} {word}: no such file"
         elif not word.startswith("-"):
@@ -170,8 +174,8 @@ def _pip(words: list[str]) -> None:
             assert set(filter(None, wanted.split(","))) <= set(extras), f"pip install {word}: no such extra"
 
 
-def _pytest(words: list[str]) -> None:
-    for word in words:
+def _pytest(arguments: list[str]) -> None:
+    for word in arguments:
         assert not word.startswith("tests") or (ROOT / word).exists(), f"pytest {word}: no such path"
 
 

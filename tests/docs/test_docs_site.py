@@ -29,12 +29,12 @@ class Page(HTMLParser):
 
     def handle_starttag(self, tag, attributes):
         """Collects anchors, links and what is loaded."""
-        found = dict(attributes)
-        self.ids.update(filter(None, (found.get("id"), found.get("name"))))
-        if tag == "a" and found.get("href"):
-            self.links.append(found["href"])
+        result = dict(attributes)
+        self.ids.update(filter(None, (result.get("id"), result.get("name"))))
+        if tag == "a" and result.get("href"):
+            self.links.append(result["href"])
         if tag in ("img", "script", "link", "source", "iframe"):
-            self.sources += [found[key] for key in ("src", "href") if found.get(key)]
+            self.sources += [result[key] for key in ("src", "href") if result.get(key)]
         self._skipped += tag in ("script", "style")
         self._in_article |= tag == "article"
 
@@ -57,9 +57,18 @@ def site(tmp_path_factory):
     folder = tmp_path_factory.mktemp("site")
     makefile = (ROOT / "Makefile").read_text("utf-8")
     recipe = re.search(r"^docs:.*\n\t\$\(BIN\)/(sphinx-build .*) docs build/docs$", makefile, re.MULTILINE)
-    words = shlex.split(recipe[1])
-    assert {"-W", "--keep-going", "-n"} <= set(words)
-    command = [sys.executable, "-m", "sphinx", *words[1:], "-d", str(folder / "trees"), "docs", str(folder / "html")]
+    arguments = shlex.split(recipe[1])
+    assert {"-W", "--keep-going", "-n"} <= set(arguments)
+    command = [
+        sys.executable,
+        "-m",
+        "sphinx",
+        *arguments[1:],
+        "-d",
+        str(folder / "trees"),
+        "docs",
+        str(folder / "html"),
+    ]
     built = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert built.returncode == 0, built.stderr
     return folder / "html"
@@ -75,10 +84,10 @@ def target(page, link):
     """Returns the path of the file that a link of a page leads to, and the anchor in it."""
     path, anchor = urldefrag(link)
     parts = [*page.split("/")[:-1], *unquote(path).split("/")] if path else page.split("/")
-    found = []
+    result = []
     for part in parts:
-        found = found[:-1] if part == ".." else found if part == "." else [*found, part]
-    return "/".join(found), unquote(anchor)
+        result = result[:-1] if part == ".." else result if part == "." else [*result, part]
+    return "/".join(result), unquote(anchor)
 
 
 def outside(link):

@@ -88,9 +88,9 @@ def test_symmetric_patterns_against_every_angle(pattern):
         turned = q @ np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
         square = np.sum((p[:, None] - turned[None]) ** 2, axis=2)
         least = min(least, square[linear_sum_assignment(square)].mean())
-    found = distance(pattern, other, scaling=False, reflection=False)
-    assert found <= math.sqrt(least) + 1e-12
-    assert found == pytest.approx(math.sqrt(least), abs=1e-4)
+    result = distance(pattern, other, scaling=False, reflection=False)
+    assert result <= math.sqrt(least) + 1e-12
+    assert result == pytest.approx(math.sqrt(least), abs=1e-4)
 
 
 @pytest.mark.parametrize("robots", [1, 2, 3, 7, 10, 16])

@@ -63,25 +63,25 @@ def compute(queue, *start):
 
 
 def main(folder):
-    found = {}
+    result = {}
     parallel_env(**SWARM)
     gymnasium.make_vec(ENV_ID, num_envs=2, vectorization_mode="vector_entry_point", **SWARM)
-    found["fork"] = first(workers("fork"))
-    found["wrong action"] = wrong_action(workers("fork"))
-    found["started"] = xla_bridge.backends_are_initialized()
-    found["spawn"] = first(workers("spawn"))
+    result["fork"] = first(workers("fork"))
+    result["wrong action"] = wrong_action(workers("fork"))
+    result["started"] = xla_bridge.backends_are_initialized()
+    result["spawn"] = first(workers("spawn"))
     backend.backends()
-    found["too late"] = [refusal(workers("fork")), refusal(workers("fork", start="scattered"))]
+    result["too late"] = [refusal(workers("fork")), refusal(workers("fork", start="scattered"))]
     context = multiprocessing.get_context("fork")
     queue = context.Queue()
     process = context.Process(target=compute, args=(queue, UniformStart(), prng.key(0), 1, WorldConfig()))
     process.start()
-    found["computation"] = queue.get(timeout=60)
+    result["computation"] = queue.get(timeout=60)
     process.join()
     env = gymnasium.make(ENV_ID, render_mode="rgb_array", **SWARM)
     env.reset(seed=4)
-    found["picture"] = env.render().shape
-    Path(folder, "found.json").write_text(json.dumps(found), encoding="utf-8")
+    result["picture"] = env.render().shape
+    Path(folder, "found.json").write_text(json.dumps(result), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -103,10 +103,10 @@ def test_an_example_whose_file_is_missing_or_damaged_is_one_line_and_status_2(
     assert reason in err
 
 
-@pytest.mark.parametrize("words", [[], ["model.onnx", "many"]])
-def test_an_example_without_its_arguments_is_one_line_and_status_2(words, monkeypatch, capsys):
+@pytest.mark.parametrize("arguments", [[], ["model.onnx", "many"]])
+def test_an_example_without_its_arguments_is_one_line_and_status_2(arguments, monkeypatch, capsys):
     pytest.importorskip("onnxruntime")
-    monkeypatch.setattr(sys, "argv", ["onnx_robots.py", *words])
+    monkeypatch.setattr(sys, "argv", ["onnx_robots.py", *arguments])
     with pytest.raises(SystemExit) as stop:
         runpy.run_path(str(EXAMPLES / "onnx_robots.py"), run_name="__main__")
     assert stop.value.code == 2

@@ -40,11 +40,11 @@ def at(env, positions=TRIANGLE):
 def episode(env, seed):
     """A whole episode of random actions; all that comes out of it."""
     env.action_space.seed(seed)
-    found = [env.reset(seed=seed)]
+    result = [env.reset(seed=seed)]
     while True:
-        found.append(env.step(env.action_space.sample()))
-        if found[-1][2] or found[-1][3]:
-            return found
+        result.append(env.step(env.action_space.sample()))
+        if result[-1][2] or result[-1][3]:
+            return result
 
 
 @pytest.mark.parametrize("observations", ["positions", "sensing"])

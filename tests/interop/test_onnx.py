@@ -263,8 +263,8 @@ def test_a_model_is_in_the_operators_and_the_format_that_older_runtimes_have(equ
     positions = configurations(ROBOTS, 20)
     memory = np.zeros((20, model.session().get_inputs()[1].shape[1]), np.float32)
     theirs, ours = (each.session().run(None, {"positions": positions, "memory": memory}) for each in (model, newest))
-    for found, expected in zip(theirs, ours, strict=True):
-        np.testing.assert_allclose(found, expected, atol=1e-5)
+    for result, expected in zip(theirs, ours, strict=True):
+        np.testing.assert_allclose(result, expected, atol=1e-5)
 
 
 def test_robots_with_their_own_eyes_have_older_operators_too():

@@ -255,13 +255,13 @@ def test_arrays_are_handed_out_once():
     at(other)
     for _ in range(3):
         actions = everyone([0.3, -0.2])
-        found, expected = env.step(actions), other.step(everyone([0.3, -0.2]))
-        assert data_equivalence(found, expected, exact=True)
+        result, expected = env.step(actions), other.step(everyone([0.3, -0.2]))
+        assert data_equivalence(result, expected, exact=True)
         np.testing.assert_array_equal(env.state(), other.state())
-        for array in (*actions.values(), *found[0].values(), env.state()):
+        for array in (*actions.values(), *result[0].values(), env.state()):
             array[:] = 1
-        found[4]["robot_0"].clear()
-        found[4].clear()
+        result[4]["robot_0"].clear()
+        result[4].clear()
 
 
 def test_actions_are_clipped_and_checked():

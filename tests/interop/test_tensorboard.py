@@ -71,17 +71,17 @@ def test_what_an_interruption_lost_is_not_there_twice(tmp_path):
 
 def test_a_finished_run_gets_its_curves_afterwards(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    words = ["discover", str(write_toml(tmp_path / "tiny.toml")), "--out", "run"]
-    assert main(words) == 0
+    arguments = ["discover", str(write_toml(tmp_path / "tiny.toml")), "--out", "run"]
+    assert main(arguments) == 0
     assert not (tmp_path / "run" / FOLDER).exists()
-    assert main([*words, "--resume", "--tensorboard"]) == 0
+    assert main([*arguments, "--resume", "--tensorboard"]) == 0
     assert len(read(tmp_path / "run")) == len(expected(tmp_path / "run"))
 
 
 def test_many_runs_have_their_curves_each(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    words = ["discover", str(write_toml(tmp_path / "tiny.toml")), "--seeds", "2", "--out", "runs", "--tensorboard"]
-    assert main(words) == 0
+    arguments = ["discover", str(write_toml(tmp_path / "tiny.toml")), "--seeds", "2", "--out", "runs", "--tensorboard"]
+    assert main(arguments) == 0
     for seed in (0, 1):
         folder = tmp_path / "runs" / f"tiny-central-seed{seed}"
         assert len(read(folder)) == len(expected(folder))

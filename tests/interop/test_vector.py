@@ -83,9 +83,9 @@ def test_a_vector_of_one_is_gymnasiums_vector_of_the_single_environment(mode, ob
     ends = 0
     for _ in range(40):
         actions = ours.action_space.sample()
-        found, expected = ours.step(actions), theirs.step(actions)
-        assert data_equivalence(list(found), list(expected), exact=True)
-        ends += found[2][0] or found[3][0]
+        result, expected = ours.step(actions), theirs.step(actions)
+        assert data_equivalence(list(result), list(expected), exact=True)
+        ends += result[2][0] or result[3][0]
     assert ends >= 3
 
 
@@ -189,9 +189,9 @@ def test_whole_runs_repeat_and_starts_never_do(mode):
     for seed in (0, 0, 1):
         env = make(mode, horizon=4)
         env.action_space.seed(0)
-        found = [env.reset(seed=seed)[0]]
-        found += [env.step(env.action_space.sample())[0] for _ in range(16)]
-        runs.append(np.stack(found))
+        result = [env.reset(seed=seed)[0]]
+        result += [env.step(env.action_space.sample())[0] for _ in range(16)]
+        runs.append(np.stack(result))
     np.testing.assert_array_equal(runs[0], runs[1])
     assert (runs[0][0] != runs[2][0]).any(axis=(1, 2)).all()
     # Nobody is ever twice at the very same place, least of all at a start.
@@ -211,9 +211,9 @@ def test_arrays_are_handed_out_once():
     env, other = begin(AutoresetMode.SAME_STEP), begin(AutoresetMode.SAME_STEP)
     for number in range(4):
         actions = up(1) if number == 1 else STILL.copy()
-        found, expected = env.step(actions), other.step(actions.copy())
-        assert data_equivalence(list(found), list(expected), exact=True)
-        *arrays, infos = found
+        result, expected = env.step(actions), other.step(actions.copy())
+        assert data_equivalence(list(result), list(expected), exact=True)
+        *arrays, infos = result
         for array in (actions, *arrays, infos["close"], infos["_close"]):
             array[:] = 1
         if "final_obs" in infos:

@@ -23,20 +23,20 @@ def chunk(seed=0, horizon=10, updates=5, **numbers):
     )
 
 
-def assert_close(found, expected):
-    assert jax.tree.structure(found) == jax.tree.structure(expected)
-    for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
+def assert_close(result, expected):
+    assert jax.tree.structure(result) == jax.tree.structure(expected)
+    for a, b in zip(jax.tree.leaves(result), jax.tree.leaves(expected), strict=True):
         assert a.dtype == b.dtype
         np.testing.assert_allclose(a, b, rtol=2e-3, atol=2e-4)
 
 
 def test_seeds_and_numbers_side_by_side_are_each_alone():
     wanted = [{"seed": 0}, {"seed": 1, "discount": 0.5}, {"seed": 2, "horizon": 4, "policy_rate": 0.02}]
-    trained = train_together([chunk(**words) for words in wanted])
-    for words, found in zip(wanted, trained, strict=True):
-        seed, horizon = words.pop("seed"), words.pop("horizon", 10)
+    trained = train_together([chunk(**arguments) for arguments in wanted])
+    for arguments, result in zip(wanted, trained, strict=True):
+        seed, horizon = arguments.pop("seed"), arguments.pop("horizon", 10)
         env = line(horizon)
-        assert_close(found, train(begin(env, parabola(), seed), env, 5, **words))
+        assert_close(result, train(begin(env, parabola(), seed), env, 5, **arguments))
     policies = [np.concatenate([np.ravel(x) for x in jax.tree.leaves(state.policy)]) for state, _ in trained]
     assert np.abs(policies[0] - policies[1]).max() > 1e-3
     assert np.abs(policies[1] - policies[2]).max() > 1e-3

@@ -16,7 +16,7 @@ def shadows(positions: np.ndarray, radius: float, tie: float) -> np.ndarray:
         tie: Logarithm of the ratio of two distances, and cosine, from which on a comparison is decided.
     """
     robots = len(positions)
-    found = np.zeros((6, robots, robots))
+    result = np.zeros((6, robots, robots))
     for k in range(robots):
         for i in range(robots):
             for j in range(robots):
@@ -30,6 +30,6 @@ def shadows(positions: np.ndarray, radius: float, tie: float) -> np.ndarray:
                 ahead, behind = (min(max(sign * cosine / tie, 0.0), 1.0) for sign in (1, -1))
                 nearer = min(max(0.5 + 0.5 * log(di / dj) / tie, 0.0), 1.0)
                 for kind, share in enumerate((ahead * nearer, ahead * (1 - nearer), behind)):
-                    found[2 * kind, k, i] += bell * share
-                    found[2 * kind + 1, k, i] += bell * share * offset
-    return found
+                    result[2 * kind, k, i] += bell * share
+                    result[2 * kind + 1, k, i] += bell * share * offset
+    return result

@@ -45,8 +45,8 @@ def weights(folder):
     return [(folder / "policies" / name).read_bytes() for name in POLICIES]
 
 
-def in_another_process(*words, **options):
-    command = [sys.executable, "-m", "murmurate", *map(str, words)]
+def in_another_process(*arguments, **options):
+    command = [sys.executable, "-m", "murmurate", *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False, **options)
 
 
@@ -94,12 +94,12 @@ def test_killed_in_the_middle_it_goes_on_to_the_same_weights(experiment, run, tm
 
 def test_every_verb_takes_it_when_it_is_trusted(run, tmp_path, capsys):
     copy = shutil.copytree(run, tmp_path / "run")
-    for words in (
+    for arguments in (
         ["evaluate", copy, "--episodes", 8, "--trust"],
         ["show", copy, "--trust", "--out", tmp_path / "figures"],
         ["table", copy, "--trust"],
     ):
-        assert main([str(word) for word in words]) == 0, words
+        assert main([str(word) for word in arguments]) == 0, arguments
     status = main(["catalogue", str(copy), "--trust", "--out", str(tmp_path / "catalogue")])
     assert status == (0 if json.loads((copy / "evaluation.json").read_text())["valid"] else 2)
     assert (tmp_path / "figures" / "discovery.png").stat().st_size > 1000
@@ -109,8 +109,8 @@ def test_every_verb_takes_it_when_it_is_trusted(run, tmp_path, capsys):
 def test_a_stranger_s_run_imports_nothing(run, tmp_path):
     copy = shutil.copytree(run, tmp_path / "run")
     for verb in ("evaluate", "show", "table", "catalogue", "export"):
-        words = [verb, copy, *(["--onnx"] if verb == "export" else [])]
-        ended = in_another_process(*words, cwd=tmp_path)
+        arguments = [verb, copy, *(["--onnx"] if verb == "export" else [])]
+        ended = in_another_process(*arguments, cwd=tmp_path)
         assert ended.returncode == 2, verb
         assert len(ended.stderr.splitlines()) == 1, ended.stderr
         assert "trust" in ended.stderr, ended.stderr
@@ -206,8 +206,8 @@ def test_a_registered_name_belongs_to_one_class(experiment):
 
 
 def test_a_training_that_diverges_stops_with_the_update_named(experiment, tmp_path, capsys):
-    words = ["--signals.calm.use", "mine:Exploding", "--scheduler.use", "fsync", "--base.ppo.updates", "40"]
-    status = main(["discover", str(experiment), "--out", str(tmp_path / "run"), "--quiet", *words])
+    arguments = ["--signals.calm.use", "mine:Exploding", "--scheduler.use", "fsync", "--base.ppo.updates", "40"]
+    status = main(["discover", str(experiment), "--out", str(tmp_path / "run"), "--quiet", *arguments])
     line = capsys.readouterr().err.strip()
     assert status == 2
     assert len(line.splitlines()) == 1
@@ -229,6 +229,7 @@ def test_other_sensing_and_shields(tmp_path):
         in_fresh_interpreter(tmp_path / "run")
 
 
+@pytest.mark.nightly
 def test_networks_of_a_library_are_trained(tmp_path):
     """Their activation functions are leaves that are no arrays."""
     from own.net import Library

@@ -59,9 +59,9 @@ def test_the_robot_and_its_neighbours_to_scale():
     shades = discs.get_facecolor()[1:]
     near = geometry.neighbors(_SWARM, _SCAN)[0, 1:]
     assert [(shade == shades[0]).all() for shade in shades] == near.tolist()
-    words = [text.get_text() for text in figure.texts]
-    assert f"number of its neighbours, here {near.sum()}" in words
-    assert {"$P_n$", "$V_n$", "$R_{bot}$", "$R_{scan}$", r"$\delta_s$"} <= set(words)
+    arguments = [text.get_text() for text in figure.texts]
+    assert f"number of its neighbours, here {near.sum()}" in arguments
+    assert {"$P_n$", "$V_n$", "$R_{bot}$", "$R_{scan}$", r"$\delta_s$"} <= set(arguments)
 
 
 @pytest.mark.parametrize(("draw", "count"), [(plots.robot_figure, 24), (plots.visibility_figure, 22)])

@@ -50,9 +50,9 @@ def test_the_spread_of_the_smallest_ring_is_the_same_for_any_number_of_robots(ro
 @given(mean=st.floats(MIN_MEAN_DISTANCE, 500.0), first=st.floats(0.01, 2000.0), second=st.floats(0.01, 2000.0))
 def test_normalizing_keeps_the_order_and_puts_the_mean_at_one_place(mean, first, second):
     distances = jnp.log(jnp.asarray([[first, second, mean, 1.0, 0.5]]))
-    found = np.asarray(normalize_distances(distances, jnp.asarray([mean])))[0]
-    assert (found[0] <= found[1] + 1e-4) == (first <= second) or abs(first - second) < 1e-3 * second
-    np.testing.assert_allclose(found[2:], np.log([MEAN_DISTANCE, 1.0, 0.5]), atol=1e-4)
+    result = np.asarray(normalize_distances(distances, jnp.asarray([mean])))[0]
+    assert (result[0] <= result[1] + 1e-4) == (first <= second) or abs(first - second) < 1e-3 * second
+    np.testing.assert_allclose(result[2:], np.log([MEAN_DISTANCE, 1.0, 0.5]), atol=1e-4)
 
 
 def test_neighbours_on_least_rings_have_nearly_the_same_normalized_distance():

@@ -26,18 +26,18 @@ def seen_hull(positions, seen=None):
     return measure(ux, uy, distance, apart)
 
 
-def bulges(found):
+def bulges(result):
     """Inverts the two channels that say how far robots stand out."""
-    near, far = np.asarray(found.robot[1]), np.asarray(found.robot[2])
+    near, far = np.asarray(result.robot[1]), np.asarray(result.robot[2])
     return np.sqrt(np.maximum(1 / np.sqrt(np.maximum(near, 1e-12)) - 1, 0)), FAR_OUT * far / (1 - far)
 
 
 @given(seed=st.integers(0, 2**32 - 1), robots=st.sampled_from([3, 4, 7, 12]))
 def test_it_is_what_sorted_angles_say(seed, robots):
     positions = np.random.default_rng(seed).uniform(-20, 20, (robots, 2))
-    found = seen_hull(positions)
-    edge, side, is_corner = np.asarray(found.pair[0]), np.asarray(found.pair[1]), np.asarray(found.robot[0])
-    near, far = bulges(found)
+    result = seen_hull(positions)
+    edge, side, is_corner = np.asarray(result.pair[0]), np.asarray(result.pair[1]), np.asarray(result.robot[0])
+    near, far = bulges(result)
     for k in range(robots):
         others = np.delete(np.arange(robots), k)
         offsets = (positions[others] - positions[k]).astype(np.float32).astype(float)
@@ -71,9 +71,9 @@ def test_who_is_not_seen_is_no_part_of_it():
     seen = ~np.eye(5, dtype=bool)
     assert not seen_hull(square, seen).robot[0, 0]
     seen[0, 4] = False
-    found = seen_hull(square, seen)
-    assert found.robot[0, 0] == 1
-    assert set(np.flatnonzero(np.asarray(found.pair[0, 0]))) == {1, 3}
+    result = seen_hull(square, seen)
+    assert result.robot[0, 0] == 1
+    assert set(np.flatnonzero(np.asarray(result.pair[0, 0]))) == {1, 3}
 
 
 @pytest.mark.parametrize(
@@ -87,13 +87,13 @@ def test_who_is_not_seen_is_no_part_of_it():
     ids=["two", "a line", "two at one place", "all at one place"],
 )
 def test_degenerate_swarms_have_finite_ones(positions):
-    found = seen_hull(positions)
-    for part in (found.pair, found.robot):
+    result = seen_hull(positions)
+    for part in (result.pair, result.robot):
         assert np.isfinite(np.asarray(part)).all()
-    near, _ = bulges(found)
+    near, _ = bulges(result)
     on_line = len(positions) != 3
     if on_line:
-        assert found.robot[0].all()
+        assert result.robot[0].all()
         np.testing.assert_allclose(near, 0, atol=1e-3)
 
 

@@ -74,8 +74,8 @@ def test_long_lists_of_failures_are_cut(result):
 
 
 @pytest.mark.parametrize(
-    ("seconds", "words"),
+    ("seconds", "arguments"),
     [(0.4, "0 s"), (59.7, "1 min 0 s"), (61, "1 min 1 s"), (3599.8, "1 h 0 min"), (5400, "1 h 30 min")],
 )
-def test_times_are_said_as_people_do(seconds, words):
-    assert tables.duration(seconds) == words
+def test_times_are_said_as_people_do(seconds, arguments):
+    assert tables.duration(seconds) == arguments

@@ -67,14 +67,18 @@ def test_a_good_method_is_told_from_a_bad_one(done):
 def test_every_method_begins_at_the_same_starts(setting, monkeypatch):
     seen = []
     monkeypatch.setattr(
-        comparison, "_measure", lambda problem, ran: seen.append(ran.positions[:, 0]) or {"a": np.ones(1)}
+        comparison,
+        "_measure",
+        lambda problem, trajectories: seen.append(trajectories.positions[:, 0]) or {"a": np.ones(1)},
     )
     monkeypatch.setattr(comparison, "MAX_PAIRS", 8 * 3**2)
     for method in ("random", "centroid"):
         condition = Condition(method, "visible", "fsync", 3)
         problem = setting.problem(condition)
-        for ran in comparison._rollouts(setting, problem, ConditionJob(Path(), setting, condition)._policies()):
-            comparison._measure(problem, ran)
+        for trajectories in comparison._rollouts(
+            setting, problem, ConditionJob(Path(), setting, condition)._policies()
+        ):
+            comparison._measure(problem, trajectories)
     batches = len(seen) // 2
     assert batches == 3
     for first, second in zip(seen[:batches], seen[batches:], strict=True):
@@ -186,10 +190,10 @@ def test_symmetric_starts_are_cells_of_their_own(setting):
     assert [(condition.start, condition.robots) for condition in wanted] == [("rings", 5), ("line", 3), ("line", 5)]
     condition = wanted[1]
     problem = setting.problem(condition)
-    ran = next(
+    trajectories = next(
         comparison._rollouts(setting, problem, ConditionJob(Path(), setting, condition)._policies(), condition.start)
     )
-    first = ran.positions[:, 0].astype(float)
+    first = trajectories.positions[:, 0].astype(float)
     along = first[:, 2] - first[:, 0]
     across = first[:, 1] - (first[:, 0] + first[:, 2]) / 2
     assert np.linalg.norm(along, axis=1).min() > 0.1

@@ -23,9 +23,13 @@ def made_up(switch, lengths, valid, bound=(10.0, 30.0)):
     alphabetical = enumerate(sorted(NAMES), 1)
     signals = {name: np.full((2, steps), 0.1 * place, np.float32) for place, name in alphabetical}
     still = np.zeros((2, steps, 3, 2), np.float32)
-    ran = Trajectories(still, lengths, np.array(switch, np.int32).reshape(2, -1), valid, ~valid, signals, lengths)
+    trajectories = Trajectories(
+        still, lengths, np.array(switch, np.int32).reshape(2, -1), valid, ~valid, signals, lengths
+    )
     yes = np.ones(2, bool)
-    return Evaluation(tiny(), 5, {"kind": "fresh"}, ran, Validity(yes, yes, yes, yes, yes, valid), np.array(bound))
+    return Evaluation(
+        tiny(), 5, {"kind": "fresh"}, trajectories, Validity(yes, yes, yes, yes, yes, valid), np.array(bound)
+    )
 
 
 def test_means_are_over_all_episodes():
@@ -79,11 +83,13 @@ def stands_still(positions, **world):
     signals = {name: np.ones((1, 1), np.float32) for name in NAMES}
     none, yes = np.zeros(1, bool), np.ones(1, bool)
     zero = np.zeros(1, np.int32)
-    ran = Trajectories(
+    trajectories = Trajectories(
         np.array(positions, np.float32)[None, None], zero, np.zeros((1, 0), np.int32), yes, none, signals, zero
     )
     validity = Validity(yes, yes, yes, yes, yes, yes)
-    return Evaluation(tiny(world={"safe_distance": 5.0, **world}), 0, {"kind": "fresh"}, ran, validity, np.array([0.0]))
+    return Evaluation(
+        tiny(world={"safe_distance": 5.0, **world}), 0, {"kind": "fresh"}, trajectories, validity, np.array([0.0])
+    )
 
 
 TRIANGLE = 2.9 * np.array([[1, 0], [-0.5, np.sqrt(0.75)], [-0.5, -np.sqrt(0.75)]])

@@ -174,11 +174,11 @@ def test_toml_files(tmp_path):
 
 
 def test_leaves_have_paths_values_and_help():
-    found = {leaf.path: leaf for leaf in config_io.leaves(Experiment())}
-    assert list(found)[:4] == ["name", "world.radius", "world.robots", "world.safety"]
-    assert found["world.radius"].help == "The radius R, world units."
-    assert found["base.sizes.robots"].value == 10
-    assert found["base.clip"].help == ""
+    result = {leaf.path: leaf for leaf in config_io.leaves(Experiment())}
+    assert list(result)[:4] == ["name", "world.radius", "world.robots", "world.safety"]
+    assert result["world.radius"].help == "The radius R, world units."
+    assert result["base.sizes.robots"].value == 10
+    assert result["base.clip"].help == ""
 
 
 @pytest.mark.parametrize("value", [(), (3,), (400, 300)])

@@ -54,7 +54,7 @@ fields.world.max_speed = 0.125
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
+    ("text", "arguments"),
     [
         ("", "experiments = None: must be a list"),
         ("experiments = []", "experiments = []"),
@@ -78,10 +78,10 @@ fields.world.max_speed = 0.125
         ("runs = []", "each under [[runs]]"),
     ],
 )
-def test_refused(write_sweep, text, words):
+def test_refused(write_sweep, text, arguments):
     with pytest.raises(InputError) as caught:
         Grid.from_toml(write_sweep(text))
-    assert words in str(caught.value)
+    assert arguments in str(caught.value)
     assert "\n" not in str(caught.value)
 
 

@@ -35,19 +35,19 @@ def test_a_request_to_end_is_one_line_and_the_run_goes_on_later(tmp_path, reques
         while not folder.checkpoint_rows() and process.poll() is None and time.monotonic() < until:
             time.sleep(0.05)
         process.send_signal(request_to_end)
-        _, told = process.communicate(timeout=60)
+        _, reported = process.communicate(timeout=60)
     assert process.returncode == 130
     line = f"murmurate: interrupted; add --resume to the same command to go on with {folder.path}\n"
-    assert told.endswith(line)
-    assert "Traceback" not in told
+    assert reported.endswith(line)
+    assert "Traceback" not in reported
     assert folder.inspect(resume=True) == "unfinished"
     assert folder.checkpoint_rows() > 0
 
 
 def test_divergence_is_said_with_the_update_and_the_quantity(tmp_path, capsys):
     toml = write_toml(tmp_path / "tiny.toml")
-    words = ["--out", str(tmp_path / "run"), "--quiet", "--base.ppo.reward_scale", "1e30"]
-    assert main(["discover", str(toml), *words]) == 2
+    arguments = ["--out", str(tmp_path / "run"), "--quiet", "--base.ppo.reward_scale", "1e30"]
+    assert main(["discover", str(toml), *arguments]) == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1
     assert "the training of the base policy diverged at update 1: " in error

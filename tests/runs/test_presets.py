@@ -170,6 +170,6 @@ def parsed(command):
     """Reads a command as `murmurate discover` does."""
     from murmurate.cli.discover import _parser
 
-    _, _, *words = shlex.split(command)
-    options, flags = _parser("F", words).parse(words)
+    _, _, *arguments = shlex.split(command)
+    options, flags = _parser("F", arguments).parse(arguments)
     return presets.resolve(options.experiment, flags)

@@ -57,15 +57,15 @@ def test_a_run_has_a_scheduler_of_its_own_and_counts_epochs(tmp_path):
     again = Run.open(made.folder)
     assert again.experiment.scheduler == made.experiment.scheduler
     assert again.cascade.rest.window == made.experiment.rest.window * 4
-    ran = again.rollout(16)
-    assert (ran.epochs > 0).all()
-    assert (ran.epochs < ran.lengths).all()
+    trajectories = again.rollout(16)
+    assert (trajectories.epochs > 0).all()
+    assert (trajectories.epochs < trajectories.lengths).all()
     assert RunFolder(made.folder).evaluation()["epochs"] > 0
 
 
 def test_without_a_scheduler_an_epoch_is_a_step(run):
-    ran = run.rollout(4)
-    assert (ran.epochs == ran.lengths).all()
+    trajectories = run.rollout(4)
+    assert (trajectories.epochs == trajectories.lengths).all()
 
 
 @pytest.mark.nightly
@@ -75,8 +75,8 @@ def test_every_policy_may_be_scheduled(kind, tmp_path):
     scheduler = {"use": "ssync", "adversarial": True}
     policy = {"policy": {"use": kind, "hidden": [8, 4], **credit}}
     config = tiny(**LOCAL if kind == "local" else policy, scheduler=scheduler, discovery=ONE_POLICY)
-    ran = train.discover(config, tmp_path / "run").rollout(4)
-    assert (ran.epochs <= ran.lengths).all()
+    trajectories = train.discover(config, tmp_path / "run").rollout(4)
+    assert (trajectories.epochs <= trajectories.lengths).all()
 
 
 @pytest.mark.parametrize(

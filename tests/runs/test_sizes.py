@@ -17,7 +17,7 @@ from murmurate.world import WorldConfig, scaled_to
 from tiny import tiny
 
 ANY = {
-    "policy": {"use": "local", "hidden": [8, 4]},
+    "policy": {"use": "equivariant", "hidden": [8, 4]},
     "start": {"use": "random"},
     "sizes": [3, 6],
     "discovery": {"min_policies": 1, "max_policies": 1},
@@ -128,7 +128,8 @@ def test_sizes_that_one_policy_cannot_serve_are_refused(overlay, line):
 
 
 def test_a_margin_makes_robots_larger_while_they_learn_and_nowhere_else():
-    config = tiny(**{**ANY, "sizes": [], "base": {"margin": 0.25}})
+    own_eyes = {"policy": {"use": "local", "hidden": [8, 4]}, "sizes": [], "base": {"margin": 0.25}}
+    config = tiny(**ANY | own_eyes)
     search = Search(config)
     env = search.stage(search.begin()).environment(0)
     trained, world = env.config, config.world

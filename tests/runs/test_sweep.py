@@ -60,17 +60,17 @@ def table_of(out):
 
 def wait_for(condition, seconds=120):
     until = time.monotonic() + seconds
-    while not (found := condition()):
+    while not (result := condition()):
         assert time.monotonic() < until
         time.sleep(0.05)
-    return found
+    return result
 
 
 def workers(out):
     """Numbers of the processes that train a run of a folder, by the run."""
     if not Path("/proc").is_dir():
         pytest.skip("the processes of other systems than Linux are not looked for")
-    found = {}
+    result = {}
     for process in Path("/proc").glob("[0-9]*"):
         try:
             opened = {os.readlink(path) for path in (process / "fd").iterdir()}
@@ -79,8 +79,8 @@ def workers(out):
             continue
         for log in opened & {str(path) for path in out.glob("*/worker.log")}:
             if b"runs.worker" in command:
-                found[Path(log).parent.name] = int(process.name)
-    return found
+                result[Path(log).parent.name] = int(process.name)
+    return result
 
 
 def begun(out):
@@ -138,9 +138,9 @@ def test_an_interrupted_sweep_leaves_nobody_behind_and_goes_on(folder):
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as sweep:
         wait_for(lambda: begun(out))
         sweep.send_signal(signal.SIGINT)
-        _, told = sweep.communicate(timeout=60)
+        _, reported = sweep.communicate(timeout=60)
     assert sweep.returncode == 130
-    assert told.strip().endswith("interrupted; the same command goes on")
+    assert reported.strip().endswith("interrupted; the same command goes on")
     assert not workers(out)
     assert "unfinished" in {row["status"] for row in table_of(out).values()}
     printed, rows = finish(folder)

@@ -66,9 +66,9 @@ def test_times_and_places_are_scaled_and_an_episode_ends_with_its_length(recorde
 def test_csv_and_json_hold_the_same_numbers_and_the_scales(recorded):
     waypoints = Waypoints.from_run(recorded([straight(), straight()], [4, 2]), Scale(metres=0.05, seconds=0.4))
     lines = waypoints.as_csv().splitlines()
-    told = dict(line[2:].split(": ") for line in lines if line.startswith("#"))
-    assert float(told["metres_per_world_unit"]) == 0.05
-    assert float(told["seconds_per_step"]) == 0.4
+    reported = dict(line[2:].split(": ") for line in lines if line.startswith("#"))
+    assert float(reported["metres_per_world_unit"]) == 0.05
+    assert float(reported["seconds_per_step"]) == 0.4
     rows = list(csv.DictReader(io.StringIO("\n".join(line for line in lines if not line.startswith("#")))))
     assert len(rows) == 3 * (5 + 3)
     data = json.loads(files.to_json(waypoints.as_dict()))

@@ -46,18 +46,18 @@ def ran(steps=STEPS, seed=0, **scheduler):
     env = with_array_leaves(SchedulerWrapper(world(), scheduler_of(**scheduler)))
     places = jnp.asarray(np.broadcast_to(PLACES[..., None], (ROBOTS, 2, BATCH)))
     answers = jnp.asarray(np.array([answer(t) for t in range(steps)]))
-    moved, epochs, ended = step_through(env, env.state(places, seed), answers)
+    moved, epochs, ended = step_through(env, places, jnp.asarray(seed, jnp.uint32), answers)
     assert not ended.any()
     return np.asarray(moved, float), np.asarray(epochs)
 
 
 @eqx.filter_jit
-def step_through(env, state, answers):
+def step_through(env, places, seed, answers):
     def step(state, velocity):
         after, transition = env.step(state, jnp.broadcast_to(velocity[None, :, None], (ROBOTS, 2, BATCH)))
         return after, (after.positions - state.positions, after.epochs, transition.terminated)
 
-    return jax.lax.scan(step, state, answers)[1]
+    return jax.lax.scan(step, env.state(places, seed), answers)[1]
 
 
 def looks(moved):
@@ -197,7 +197,11 @@ def test_an_adversary_does_worse_than_chance_and_is_as_fair():
             active = jnp.any(after.positions != state.positions, axis=1)
             return after, (transition.reward, active)
 
-        _, (reward, active) = jax.lax.scan(one, env.reset_batch(jax.random.key(0), 64), None, length=20)
+        @jax.jit
+        def run(env=env, one=one):
+            return jax.lax.scan(one, env.reset_batch(jax.random.key(0), 64), None, length=20)[1]
+
+        reward, active = run()
         active = np.asarray(active)
         assert active.any(axis=1).all()
         assert all(active[first : first + 6].any(axis=0).all() for first in range(15))

@@ -26,12 +26,12 @@ OTHER = ~np.eye(6, dtype=bool)
 
 def configurations(seed=0, batch=20, robots=6, size=12.0):
     """Configurations without contact, batch last."""
-    rng, found = np.random.default_rng(seed), []
-    while len(found) < batch:
+    rng, result = np.random.default_rng(seed), []
+    while len(result) < batch:
         points = rng.uniform(-size, size, (robots, 2))
         if visibility.pairwise_distances(points)[~np.eye(robots, dtype=bool)].min() > 2 * R:
-            found.append(points)
-    return jnp.asarray(np.stack(found, axis=-1), jnp.float32)
+            result.append(points)
+    return jnp.asarray(np.stack(result, axis=-1), jnp.float32)
 
 
 def sensing_of(use="global", **fields):

@@ -7,7 +7,7 @@ from murmurate.policies.base import Credit, Gaussian, Policy, PolicyNetwork
 from murmurate.policies.central import CentralPolicy
 from murmurate.policies.equivariant import EquivariantPolicy
 from murmurate.policies.local import LocalPolicy
-from murmurate.policies.shield import ClearanceShield, NoShield, Shield, ShieldWrapper, WallShield
+from murmurate.policies.shield import ClearanceShield, NoShield, Shield, ShieldedState, ShieldWrapper, WallShield
 
 __all__ = [
     "CentralPolicy",
@@ -21,5 +21,6 @@ __all__ = [
     "PolicyNetwork",
     "Shield",
     "ShieldWrapper",
+    "ShieldedState",
     "WallShield",
 ]

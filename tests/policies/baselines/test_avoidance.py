@@ -34,8 +34,8 @@ def test_two_robots_that_see_each_other_never_collide(seed, speed):
     wanted = np.random.default_rng(seed + 1).normal(size=positions.shape) * speed
     # Half of them head for each other.
     wanted[..., ::2] = speed * (positions[::-1] - positions)[..., ::2]
-    found = np.asarray(avoided(positions, wanted.astype(np.float32)), float)
-    assert not _batch_last.any_contact(positions.astype(float), found, WORLD.radius).any()
+    result = np.asarray(avoided(positions, wanted.astype(np.float32)), float)
+    assert not _batch_last.any_contact(positions.astype(float), result, WORLD.radius).any()
 
 
 @settings(deadline=None, max_examples=20)
@@ -43,9 +43,9 @@ def test_two_robots_that_see_each_other_never_collide(seed, speed):
 def test_a_crowd_does_not_collide_either(seed):
     positions = apart(seed, 4, 5.0)
     wanted = -3 * positions
-    found = np.asarray(avoided(positions, wanted), float)
-    assert (np.linalg.norm(found, axis=1) <= WORLD.max_speed).all()
-    assert not _batch_last.any_contact(positions.astype(float), found, WORLD.radius).any()
+    result = np.asarray(avoided(positions, wanted), float)
+    assert (np.linalg.norm(result, axis=1) <= WORLD.max_speed).all()
+    assert not _batch_last.any_contact(positions.astype(float), result, WORLD.radius).any()
 
 
 def test_somebody_in_the_shadow_of_another_is_reckoned_with():
@@ -56,9 +56,9 @@ def test_somebody_in_the_shadow_of_another_is_reckoned_with():
     mask[0, 2] = mask[2, 0] = False
     hidden = seen._replace(seen=seen.seen & mask, x=seen.x * mask, y=seen.y * mask)
     towards = jnp.asarray(positions[[2, 1, 0]] - positions)
-    found = np.asarray(avoid_collisions(towards[:, 0], towards[:, 1], hidden, WORLD), float)
-    assert np.abs(found).max() > 0
-    assert not _batch_last.any_contact(positions.astype(float), found, WORLD.radius).any()
+    result = np.asarray(avoid_collisions(towards[:, 0], towards[:, 1], hidden, WORLD), float)
+    assert np.abs(result).max() > 0
+    assert not _batch_last.any_contact(positions.astype(float), result, WORLD.radius).any()
 
 
 def test_wanted_velocities_that_are_free_are_kept():

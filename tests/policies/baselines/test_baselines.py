@@ -124,9 +124,9 @@ def test_speed_is_limited_and_nothing_is_undefined(name, landmark):
     lonely = jnp.zeros((6, 2)).at[2:, 0].set(1000.0 * jnp.arange(1, 5))
     crowd = 0.25 * configuration(1)
     batch = jnp.stack([configuration(), crowd, line, jnp.zeros((6, 2)), lonely], axis=-1)
-    found = velocities(policy, batch, use="visible", rotation=True)
-    assert found.shape == batch.shape
-    assert np.isfinite(found).all()
-    assert (np.linalg.norm(found, axis=1) <= SPEED).all()
+    result = velocities(policy, batch, use="visible", rotation=True)
+    assert result.shape == batch.shape
+    assert np.isfinite(result).all()
+    assert (np.linalg.norm(result, axis=1) <= SPEED).all()
     again = velocities(policy, batch, use="visible", rotation=True)
-    np.testing.assert_array_equal(found, again)
+    np.testing.assert_array_equal(result, again)
