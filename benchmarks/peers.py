@@ -15,9 +15,9 @@ from benchmarks.measure import Case
 __all__ = ["JAXMARL", "PART", "SB3", "VMAS", "peer_cases"]
 
 PART = "peer"
-JAXMARL = "JaxMARL `MPE_simple_spread_v3`"
-VMAS = "VMAS `dispersion`"
-SB3 = "Stable-Baselines3 PPO on `murmurate/Gathering-v0`"
+JAXMARL = "JaxMARL MPE_simple_spread_v3"
+VMAS = "VMAS dispersion"
+SB3 = "Stable-Baselines3 PPO on murmurate/Gathering-v0"
 AGENTS = 10
 SHARE = 20
 """VMAS takes so many times fewer steps a run: PyTorch goes from one operation to the next."""
