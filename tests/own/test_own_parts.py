@@ -221,7 +221,7 @@ def test_other_sensing_and_shields(tmp_path):
 
     config = tiny(policy={"use": "local", "hidden": [8, 4]}, sensing={"use": "visible"}, discovery=ONE_POLICY)
     run = murmurate.discover(config, out=tmp_path / "run", sensing=Nearest(rotation=True), shield=Half(0.25))
-    view = run.cascade.env.env.observe(run.cascade.env.state(jnp.asarray(np.moveaxis(run.starts(2), 0, -1)))).view
+    view = run.cascade.env.observe(run.cascade.env.state(jnp.asarray(np.moveaxis(run.starts(2), 0, -1)))).view
     assert (np.asarray(view.seen).sum(axis=1) == 1).all()
     moved = np.abs(np.diff(run.rollout(4).positions, axis=1)).max()
     assert 0 < moved <= 0.25 * config.world.max_speed * 2**0.5
