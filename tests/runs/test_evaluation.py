@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,8 +10,9 @@ from scipy.stats import binomtest
 from murmurate.analysis.optimum import best_known
 from murmurate.analysis.optimum.best_known import BestKnown
 from murmurate.discovery import Trajectories, Validity
-from murmurate.runs import files
+from murmurate.runs import files, table
 from murmurate.runs.evaluate import Evaluation, wilson
+from murmurate.runs.folder import RunFolder
 from tiny import tiny
 
 NAMES = ("nclose", "safety", "neighbors", "visible")
@@ -121,3 +123,17 @@ def test_a_pattern_that_beats_the_table_is_offered_as_a_record(tmp_path, monkeyp
     monkeypatch.undo()
     evaluation.save(tmp_path)
     assert not (tmp_path / "record.json").exists()
+
+
+def test_interventions_of_a_shield_are_recorded_and_shown(tmp_path):
+    evaluation = made_up([[20], [40]], [30, 70], [True, False])
+    assert "interventions" not in evaluation.summary()
+    trajectories = replace(evaluation.trajectories, interventions=np.array([3, 4], np.int32))
+    evaluation = replace(evaluation, trajectories=trajectories)
+    folder = RunFolder(tmp_path)
+    folder.write_experiment(evaluation.experiment)
+    evaluation.save(folder)
+    np.testing.assert_array_equal(folder.trajectories().interventions, [3, 4])
+    summary = folder.evaluation()
+    assert summary["interventions"] == 3.5
+    assert ("moves shortened by the shield, an episode", "3.5") in table.comparison(summary, None)[1]
