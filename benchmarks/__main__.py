@@ -1,7 +1,7 @@
 """Times the world and the training, the machine's ceilings and other projects; writes tables, JSON and a figure.
 
 python -m benchmarks --out docs/benchmarks.md --json docs/benchmarks.json --figure docs/figures/cost.png (`make
-benchmark`: six minutes on two quiet cores). With --redraw, page and figure are made from the JSON instead.
+benchmark`: eight minutes on two quiet cores). With --redraw, page and figure are made from the JSON instead.
 """
 
 from __future__ import annotations

@@ -158,7 +158,7 @@ class ClearanceShield(Shield):
             offsets = observation[None] - observation[:, None]
             itself = jnp.eye(len(observation), dtype=bool).reshape(offsets.shape[:2] + (1,) * (offsets.ndim - 3))
             distance = jnp.where(itself, jnp.inf, _length(offsets[:, :, 0], offsets[:, :, 1]))
-        # Whoever perceives nobody knows that nobody is within the scan radius.
+        # A robot that perceives nobody knows that nobody is within the scan radius.
         far = jnp.full_like(velocities[:, :1, ...], world.scan_radius)
         nearest = jnp.min(jnp.concatenate([distance, far], axis=1), axis=1)
         limit = share * jnp.maximum(nearest - 2 * world.radius - _rounding(world), 0.0)

@@ -30,7 +30,8 @@ def in_tiles(function: Callable[..., Any], robots: int, *arguments: Any) -> Any:
     several devices, which split it between them, and where a result does not depend on the episode.
 
     Args:
-        function: Computes each episode by itself. The last axis of every array that it takes and returns is the batch.
+        function: Computes each episode independently of the others. The last axis of every array that it takes and
+            returns is the batch.
         robots: Swarm size.
         *arguments: PyTrees of arrays.
     """
