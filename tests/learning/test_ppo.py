@@ -15,7 +15,7 @@ from probes import Line, begin, fresh, parabola, train
 
 from murmurate.errors import InputError
 from murmurate.learning import Batch, Hyperparameters, PPOConfig, Schedule, collect, set_log_std
-from murmurate.learning.ppo import _minibatches
+from murmurate.learning.ppo import split_minibatches
 
 LINE = Line(jnp.asarray(10))
 
@@ -136,7 +136,7 @@ def test_numbers_change_without_compiling_again():
 def test_every_step_is_dealt_into_one_minibatch():
     number = jnp.arange(24)
     steps = Batch(number, jnp.stack([number, -number]), number[None], 10 * number[None], 100 * number[None])
-    dealt = _minibatches(steps, jax.random.key(0), 4)
+    dealt = split_minibatches(steps, jax.random.key(0), 4)
     assert dealt.observation.shape == (4, 6)
     assert dealt.action.shape == (4, 2, 6)
     np.testing.assert_array_equal(np.sort(dealt.observation.ravel()), number)

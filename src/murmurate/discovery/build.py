@@ -104,11 +104,14 @@ def check_parts(problem: Problem) -> None:
     """Checks that the strategies that are not of this package return what they should, once and before any training.
 
     Raises:
-        InputError: One cannot be evaluated, returns another shape or type, or numbers that are not finite; or
-            exploration is scheduled for a policy without a spread to schedule.
+        InputError: One cannot be evaluated, returns another shape or type, or numbers that are not finite; exploration
+            is scheduled for a policy without a spread to schedule; or a signal that gradients are to improve has none.
     """
     check_problem(problem)
     world = build_world(problem)
+    for index in range(min(2, problem.discovery.max_policies)):
+        if problem.stage(index).learner == "gradients":
+            _check_gradients(problem, index, world)
     robots, batch = problem.world.robots, 2
     positions = jnp.moveaxis(jnp.asarray(draw_starts(world.start, prng.key(problem.seed), batch, world.config)), 0, -1)
     each, pairs, whole = (robots, batch), (robots, robots, batch), (batch,)
@@ -144,6 +147,37 @@ def check_parts(problem: Problem) -> None:
         _check("shield", problem.shield, shorten, {"__call__": (robots, 2, batch)})
     if problem.policy.is_foreign():
         _check_policy(problem, env, positions)
+
+
+SHRUNK = (1.0, 0.5, 0.25, 0.12)
+"""Configurations are shrunk to these shares to find out whether signals have gradients: some have only in a crowd."""
+
+
+def _check_gradients(problem: Problem, index: int, world: World) -> None:
+    """Checks that the signals that a policy is refined by have gradients.
+
+    A signal that counts changes from one configuration to the next, but its gradient is 0 wherever it is defined.
+    """
+    drawn = jnp.moveaxis(jnp.asarray(draw_starts(world.start, prng.key(problem.seed), 4, world.config)), 0, -1)
+    positions = jnp.concatenate([share * drawn for share in SHRUNK], axis=-1)
+    signals, weights = problem.refinement(index)
+    section = f"{'base' if index == 0 else 'auxiliary'}.gradients.weights"
+    for name, signal in signals.items():
+
+        def measure(positions: Array, signal: Signal = signal) -> Array:
+            return signal.value(Configuration(positions, world.config))
+
+        def slopes(positions: Array, measure: Any = measure) -> tuple[Array, Array]:
+            values, back = jax.vjp(measure, positions)
+            return values, back(jnp.ones_like(values))[0]
+
+        values, gradient = map(np.asarray, eqx.filter_jit(slopes)(positions))
+        if not np.isfinite(gradient).all():
+            allowed = "0: its gradient is not finite where robots have the same distance or place"
+            raise InputError(f"{section}.{name}", weights[name], allowed)
+        if not gradient.any() and np.ptp(values) > 0:
+            allowed = "0: it has no gradient, because it counts (see smooth_visible, smooth_safety, compact, exposed)"
+            raise InputError(f"{section}.{name}", weights[name], allowed)
 
 
 def _check_policy(problem: Problem, env: World | Wrapper, positions: Float[Array, "robots 2 batch"]) -> None:

@@ -33,12 +33,13 @@ class Curriculum:
         problem = self.problem
         if not problem.sizes:
             return (problem,)
-        ppo, config, parts = problem.base.ppo, problem.discovery, []
+        learner, config, parts = problem.base.learner, problem.discovery, []
+        numbers = problem.base.learning
         for robots in problem.sizes:
             ratio = min(problem.world.robots / robots, MAX_WORLDS_RATIO)
-            worlds = max(round(ratio * ppo.worlds / ppo.minibatches), 1) * ppo.minibatches
+            worlds = max(round(ratio * numbers.worlds / numbers.minibatches), 1) * numbers.minibatches
             part = problem.of_size(robots)
-            base = replace(part.base, ppo=replace(ppo, worlds=worlds))
+            base = replace(part.base, **{learner: replace(numbers, worlds=worlds)})
             episodes = math.ceil(config.episodes / len(problem.sizes))
             parts.append(replace(part, base=base, discovery=replace(config, episodes=episodes)))
         return tuple(parts)
@@ -52,7 +53,7 @@ class Curriculum:
         """Returns how many updates of a policy run next without visiting the host: all are of one part."""
         if self.problem.sizes:
             return 1
-        return min(self.problem.discovery.chunk, self.problem.stage(index).ppo.updates - update)
+        return min(self.problem.discovery.chunk, self.problem.stage(index).learning.updates - update)
 
     def steps(self, index: int, updates: int) -> int:
         """Returns the environment's steps in the first updates of the policy at a place in the list."""

@@ -39,12 +39,13 @@ def check_training(problem: Problem) -> None:
     """
     robots = problem.world.robots
     for index in range(min(2, problem.discovery.max_policies)):
-        ppo, name = problem.stage(index).ppo, policy_name(index)
-        check_pairs(f"{name}.ppo.worlds", ppo.worlds, robots)
-        stored = ppo.worlds * robots**2
-        if stored * ppo.steps > MAX_STORED_PAIRS:
+        stage = problem.stage(index)
+        numbers, name = stage.learning, f"{policy_name(index)}.{stage.learner}"
+        check_pairs(f"{name}.worlds", numbers.worlds, robots)
+        stored = numbers.worlds * robots**2
+        if stored * numbers.steps > MAX_STORED_PAIRS:
             most = max(MAX_STORED_PAIRS // stored, 1)
-            raise InputError(f"{name}.ppo.steps", ppo.steps, f"at most {most} with {ppo.worlds} worlds of {robots}")
+            raise InputError(f"{name}.steps", numbers.steps, f"at most {most} with {numbers.worlds} worlds of {robots}")
     check_pairs("discovery.sigma", problem.discovery.sigma, robots)
     check_pairs("discovery.episodes", problem.discovery.episodes, robots)
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from murmurate.discovery.cascade import RestRule
-from murmurate.errors import MAX_INTEGER, MAX_MAGNITUDE, InputError, check_number, check_type
-from murmurate.learning import PPOConfig
+from murmurate.errors import MAX_INTEGER, MAX_MAGNITUDE, InputError, check_choice, check_number, check_type
+from murmurate.learning import LEARNERS, GradientConfig, LearnerConfig, PPOConfig
 from murmurate.policies import NoShield, Policy, Shield
 from murmurate.world import (
     FsyncScheduler,
@@ -39,7 +39,9 @@ class StageConfig:
     Attributes:
         weights: Weights of the signals in this policy's reward, by name; gathering stands for close (C1) or nclose
             (C2).
-        ppo: Numbers of the learner; its discount is the paper's F_gamma at this policy.
+        learner: ppo, which discovers, or gradients, which refines what `--from` or `warm_start` begins with.
+        ppo: Numbers of the learner ppo; its discount is the paper's F_gamma at this policy.
+        gradients: Numbers of the learner gradients; it has weights of its own.
         horizon: Steps after which a training episode is truncated.
         repeat: Steps for which each action is kept up in training; the trained policy acts at every step.
         noise: Half-width of the uniform noise on each restart configuration, in robot radii (auxiliary only).
@@ -55,7 +57,9 @@ class StageConfig:
     """
 
     weights: Mapping[str, float] = field(default_factory=dict)
+    learner: str = "ppo"
     ppo: PPOConfig = field(default_factory=PPOConfig)
+    gradients: GradientConfig = field(default_factory=GradientConfig)
     horizon: int = 120
     repeat: int = 1
     noise: float = 0.25
@@ -68,6 +72,7 @@ class StageConfig:
     def __post_init__(self) -> None:
         for name, weight in self.weights.items():
             check_number(f"weights.{name}", weight, 0, MAX_MAGNITUDE)
+        check_choice("learner", self.learner, tuple(LEARNERS))
         for name in ("horizon", "repeat"):
             check_number(name, getattr(self, name), 1, MAX_INTEGER, integer=True)
         check_number("noise", self.noise, 0, MAX_MAGNITUDE)
@@ -79,7 +84,13 @@ class StageConfig:
     @property
     def steps_per_update(self) -> int:
         """Steps of the environment in one update."""
-        return self.ppo.worlds * self.ppo.steps * self.repeat
+        repeat = self.repeat if self.learner == "ppo" else 1
+        return self.learning.worlds * self.learning.steps * repeat
+
+    @property
+    def learning(self) -> LearnerConfig:
+        """Numbers of the learner that trains the policy."""
+        return getattr(self, self.learner)
 
 
 @dataclass(frozen=True)
@@ -202,6 +213,24 @@ class Problem:
             gathering = given.get(GATHERING) if name in ("close", "nclose") else None
             weights[name] = given.get(name, signal.weight if gathering is None else gathering)
         return weights
+
+    def refinement(self, index: int) -> tuple[dict[str, Signal], dict[str, float]]:
+        """Returns the signals, with their weights, that the learner gradients improves the policy at a place by.
+
+        Raises:
+            InputError: There is no signal of a name.
+        """
+        given = dict(self.stage(index).gradients.weights)
+        gathering = given.pop(GATHERING, None)
+        if gathering is not None:
+            given["centered" if self.landmark else "compact"] = gathering
+        own, known = self.objective_signals, Signal.registered()
+        for name in given:
+            if name not in own and name not in known:
+                section = f"{'base' if index == 0 else 'auxiliary'}.gradients.weights.{name}"
+                raise InputError(section, given[name], f"for a signal ({', '.join(sorted({*own, *known}))})")
+        signals: dict[str, Any] = {name: own[name] if name in own else known[name]() for name in given}
+        return signals, given
 
     def of_size(self: ProblemT, robots: int) -> ProblemT:
         """Returns the same problem for a swarm of another size, in a world scaled to it.

@@ -85,11 +85,12 @@ class Search:
         """
         for index in range(min(2, self.problem.discovery.max_policies)):
             for part in self.curriculum.parts:
-                ppo, name = part.stage(index).ppo, policy_name(index)
+                stage = part.stage(index)
+                numbers, name = stage.learning, f"{policy_name(index)}.{stage.learner}"
                 robots = f" (swarms of {part.world.robots})" if self.problem.sizes else ""
-                check_divides(f"{name}.ppo.worlds{robots}", ppo.worlds)
-                part_of_pass = ppo.worlds * ppo.steps // ppo.minibatches
-                check_divides(f"{name}.ppo.worlds * steps / minibatches{robots}", part_of_pass)
+                check_divides(f"{name}.worlds{robots}", numbers.worlds)
+                part_of_pass = numbers.worlds * numbers.steps // numbers.minibatches
+                check_divides(f"{name}.worlds * steps / minibatches{robots}", part_of_pass)
 
     def begin(self) -> Snapshot:
         """Returns the snapshot before the first policy: sigma is the problem's start."""

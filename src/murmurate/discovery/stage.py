@@ -16,11 +16,12 @@ from murmurate import prng
 from murmurate.discovery.build import build_environment, build_networks
 from murmurate.discovery.curriculum import Curriculum
 from murmurate.discovery.problem import Problem
-from murmurate.learning import Chunk, Hyperparameters, Shape, TrainState, init, set_log_std
+from murmurate.learning import LEARNERS, Chunk, Learner, TrainState, init
 from murmurate.world import (
     ActionRepeat,
     JitteredStart,
     MixtureStart,
+    ShortfallReward,
     Start,
     SymmetricStart,
     UniformStart,
@@ -57,11 +58,32 @@ def training_world(problem: Problem, index: int, start: Start, sigma: Float[Arra
         start: The problem's start, prepared.
         sigma: The configurations that episodes begin from: of the start, or where the policies before came to rest.
     """
-    stage, is_base = problem.stage(index), index == 0
+    stage = problem.stage(index)
     factor = 1 + stage.margin
     config = replace(
         problem.world, radius=factor * problem.world.radius, safe_distance=factor * problem.world.safe_distance
     )
+    start = _training_start(problem, index, start, sigma)
+    horizon: Any = jnp.asarray(stage.horizon, jnp.int32)
+    signals, weights = problem.objective_signals, problem.weights(index)
+    per_robot = problem.policy.credit == "robots"
+    return with_array_leaves(World.create(config, start, signals, weights, horizon, per_robot))
+
+
+def refinement_world(problem: Problem, index: int, start: Start, sigma: Float[Array, "sigma robots 2"]) -> World:
+    """Builds the world that a policy is refined in by gradients; for the arguments see `training_world`.
+
+    Its signals have margins of their own, so robots are as large as they are.
+    """
+    signals, weights = problem.refinement(index)
+    horizon: Any = jnp.asarray(problem.stage(index).horizon, jnp.int32)
+    start = _training_start(problem, index, start, sigma)
+    return with_array_leaves(World.create(problem.world, start, signals, weights, horizon))
+
+
+def _training_start(problem: Problem, index: int, start: Start, sigma: Float[Array, "sigma robots 2"]) -> Start:
+    """Returns where the training episodes of a policy begin."""
+    stage, is_base = problem.stage(index), index == 0
     if isinstance(start, JitteredStart):
         first: Start = JitteredStart(sigma, start.noise if is_base else stage.noise)
     else:
@@ -71,10 +93,25 @@ def training_world(problem: Problem, index: int, start: Start, sigma: Float[Arra
     start = MixtureStart(first, UniformStart(stage.random_spread), random_share)
     if problem.base.symmetric_share:
         start = MixtureStart(start, SymmetricStart(), stage.symmetric_share if is_base else 0.0)
-    per_robot = problem.policy.credit == "robots"
-    horizon: Any = jnp.asarray(stage.horizon, jnp.int32)
-    signals, weights = problem.objective_signals, problem.weights(index)
-    return with_array_leaves(World.create(config, start, signals, weights, horizon, per_robot))
+    return start
+
+
+def _discovery_environment(problem: Problem, index: int, start: Start, sigma: Any) -> Wrapper:
+    """Every action is kept up for some steps; rewards are the changes of the objective."""
+    world = training_world(problem, index, start, sigma)
+    # Robots perceive the world as it is: the margin is in the reward and in what counts as contact alone.
+    env = build_environment(problem, world, with_array_leaves(problem.world))
+    return ActionRepeat(env, jnp.asarray(problem.stage(index).repeat, jnp.int32))
+
+
+def _refinement_environment(problem: Problem, index: int, start: Start, sigma: Any) -> Wrapper:
+    """Every step costs what the objective of smooth signals lacks."""
+    env = build_environment(problem, refinement_world(problem, index, start, sigma))
+    return ShortfallReward(env, with_array_leaves(problem.objective_signals))
+
+
+_ENVIRONMENTS = {"ppo": _discovery_environment, "gradients": _refinement_environment}
+"""What each learner trains in: base and auxiliary policies in one program, where shapes agree."""
 
 
 class Stage:
@@ -99,12 +136,10 @@ class Stage:
         self._starts, self._sigmas = starts, sigmas
 
     def environment(self, part_index: int) -> Wrapper:
-        """Returns what the policy is trained in: the problem's environment, with every action kept up."""
+        """Returns what the policy is trained in: the problem's environment, rewarded as the learner needs it."""
         part = self.curriculum.parts[part_index]
-        world = training_world(part, self.index, self._starts[part_index], self._sigmas[part_index])
-        # Robots perceive the world as it is: the margin is in the reward and in what counts as contact alone.
-        perceived = with_array_leaves(part.world)
-        return ActionRepeat(build_environment(part, world, perceived), jnp.asarray(self.config.repeat, jnp.int32))
+        start, sigma = self._starts[part_index], self._sigmas[part_index]
+        return _ENVIRONMENTS[self.config.learner](part, self.index, start, sigma)
 
     def begin(self, warm_start: Any | None = None) -> TrainState:
         """Returns the state of the training before its first update.
@@ -115,7 +150,7 @@ class Stage:
         problem = self.curriculum.problem
         policy, value = build_networks(problem, draw_key(problem, self.index, "networks"))
         policy = policy if warm_start is None else warm_start
-        policy = set_log_std(policy, self.config.ppo.log_std)
+        policy = self._learner.prepare(policy, self.config.learning)
         states = tuple(self._worlds(part_index) for part_index in range(len(self.curriculum.parts)))
         return init(policy, value, states, draw_key(problem, self.index, "training"))
 
@@ -123,12 +158,11 @@ class Stage:
         """Returns the updates to run next."""
         update = int(train.update)
         part_index = self.curriculum.turn(update)
-        ppo = self.curriculum.parts[part_index].stage(self.index).ppo
+        numbers, learner = self.curriculum.parts[part_index].stage(self.index).learning, self._learner
         train = eqx.tree_at(lambda t: t.env_state, train, train.env_state[part_index])
         updates = self.curriculum.chunk(self.index, update)
-        return Chunk(
-            train, self.environment(part_index), Hyperparameters.from_config(ppo), Shape.from_config(ppo), updates
-        )
+        hyper, shape = learner.hyperparameters(numbers), learner.shape(numbers)
+        return Chunk(train, self.environment(part_index), hyper, shape, updates, learner.train_chunk)
 
     def after_chunk(
         self, before: TrainState, trained: TrainState, metrics: dict[str, Any]
@@ -148,16 +182,20 @@ class Stage:
             rows.append({**row, "robots": robots})
         return trained, rows
 
+    @property
+    def _learner(self) -> Learner:
+        return LEARNERS[self.config.learner]
+
     def is_done(self, train: TrainState) -> bool:
         """Returns whether the last update has been run."""
-        return int(train.update) >= self.config.ppo.updates
+        return int(train.update) >= self.config.learning.updates
 
     def _worlds(self, part_index: int) -> Any:
         """Begins the parallel episodes that the policy is trained in."""
         part = self.curriculum.parts[part_index]
         stage = part.stage(self.index)
         worlds, clock = jax.random.split(draw_key(part, self.index, "worlds"))
-        state = _reset(self.environment(part_index), worlds, stage.ppo.worlds)
+        state = _reset(self.environment(part_index), worlds, stage.learning.worlds)
         # Episodes that all began together would all end together, and every batch would hold one age only.
         step = state.unwrapped.step
         ages = jax.random.randint(clock, step.shape, 0, stage.horizon, step.dtype)

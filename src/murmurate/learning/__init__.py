@@ -1,4 +1,4 @@
-"""Proximal policy optimisation for any `Environment`, `Policy` and `Value`; nothing here depends on robots.
+"""Learners for any `Environment`, `Policy` and `Value`; nothing here depends on robots.
 
 An environment holds a batch of episodes, the batch on the last axis. A policy maps an observation to a distribution of
 actions, a value network to the expected returns; both are Equinox modules. `init` begins a training, and each call of
@@ -15,21 +15,29 @@ from murmurate.learning.environment import (
     Value,
     step_with_autoreset,
 )
+from murmurate.learning.gradients import GradientConfig, GradientHyperparameters, Segment
+from murmurate.learning.learners import LEARNERS, Learner, LearnerConfig
 from murmurate.learning.losses import Batch, policy_loss, value_loss
 from murmurate.learning.ppo import Rollout, TrainState, collect, init, set_log_std, train_chunk
 from murmurate.learning.sharding import check_divides
 from murmurate.learning.together import Chunk, train_together
 
 __all__ = [
+    "LEARNERS",
     "ActionDistribution",
     "Batch",
     "Chunk",
     "Environment",
+    "GradientConfig",
+    "GradientHyperparameters",
     "Hyperparameters",
+    "Learner",
+    "LearnerConfig",
     "PPOConfig",
     "Policy",
     "Rollout",
     "Schedule",
+    "Segment",
     "Shape",
     "TrainState",
     "Transition",

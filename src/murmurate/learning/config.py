@@ -16,7 +16,8 @@ __all__ = ["Exploration", "Hyperparameters", "PPOConfig", "Schedule", "Shape", "
 
 ValueTarget = Literal["gae", "rewards-to-go"]
 Exploration = Literal["learned", "scheduled"]
-_MAX_NUMBER = 1e30  # finite in float32
+MAX_RATE = 1e30
+"""Learning rates and factors, at most: finite in float32."""
 
 
 @dataclass(frozen=True)
@@ -76,9 +77,9 @@ class PPOConfig:
         for name in ("discount", "gae_lambda"):
             check_number(name, getattr(self, name), 0, 1)
         for name in ("policy_rate", "policy_rate_end", "value_rate", "value_rate_end"):
-            check_number(name, getattr(self, name), 0, _MAX_NUMBER)
+            check_number(name, getattr(self, name), 0, MAX_RATE)
         for name in ("clip", "clip_end", "reward_scale", "max_gradient"):
-            check_number(name, getattr(self, name), 0, _MAX_NUMBER, exclusive_low=True)
+            check_number(name, getattr(self, name), 0, MAX_RATE, exclusive_low=True)
         for name in ("log_std", "log_std_end"):
             check_number(name, getattr(self, name), -20, 20)
         check_choice("value_target", self.value_target, get_args(ValueTarget))

@@ -99,7 +99,7 @@ def collect(env: Environment, policy: Policy, state: Any, key: PRNGKeyArray, ste
     return jax.lax.scan(step, state, jax.random.split(key, steps))
 
 
-def _flatten(x: Array) -> Array:
+def flatten_time(x: Array) -> Array:
     """(time, ..., batch) -> (..., time * batch)."""
     x = jnp.moveaxis(x, 0, -2)
     return x.reshape((*x.shape[:-2], -1))
@@ -116,12 +116,12 @@ def _batch(value: Value, rollout: Rollout, hyper: Hyperparameters, shape: Shape)
     target = advantage + before if shape.value_target == "gae" else rewards_to_go(reward, after, *ends)
     advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
     flat = (rollout.observation, rollout.action, rollout.log_prob, advantage, target)
-    return Batch(*jax.tree.map(_flatten, flat))
+    return Batch(*jax.tree.map(flatten_time, flat))
 
 
-def _minibatches(batch: Batch, key: PRNGKeyArray, count: int) -> Batch:
+def split_minibatches(batch: Any, key: PRNGKeyArray, count: int) -> Any:
     """Shuffles the steps and splits them into minibatches, on a new first axis; each is spread over the devices."""
-    order = jax.random.permutation(key, jnp.arange(batch.log_prob.shape[-1], dtype=jnp.int32))
+    order = jax.random.permutation(key, jnp.arange(jax.tree.leaves(batch)[0].shape[-1], dtype=jnp.int32))
 
     def split(x: Array) -> Array:
         return jnp.moveaxis(x[..., order].reshape((*x.shape[:-1], count, -1)), -2, 0)
@@ -129,7 +129,7 @@ def _minibatches(batch: Batch, key: PRNGKeyArray, count: int) -> Batch:
     return sharding.shard_batch(jax.tree.map(split, batch))
 
 
-def _descend(network: Any, moments: Any, gradient: Any, rate: Any, max_gradient: Any) -> tuple[Any, Any]:
+def descend(network: Any, moments: Any, gradient: Any, rate: Any, max_gradient: Any) -> tuple[Any, Any]:
     """Takes one step of Adam, after clipping the gradient's global norm."""
     norm = optax.tree.norm(gradient)
     gradient = jax.tree.map(lambda g: g * jnp.minimum(1.0, max_gradient / (norm + 1e-12)), gradient)
@@ -147,9 +147,9 @@ def _improve(
     )
     if hyper.log_std is not None:
         gradient = eqx.tree_at(lambda g: g.log_std, gradient, replace_fn=jnp.zeros_like)
-    policy, policy_moments = _descend(state.policy, state.policy_moments, gradient, policy_rate, hyper.max_gradient)
+    policy, policy_moments = descend(state.policy, state.policy_moments, gradient, policy_rate, hyper.max_gradient)
     error, gradient = eqx.filter_value_and_grad(value_loss)(state.value, batch)
-    value, value_moments = _descend(state.value, state.value_moments, gradient, value_rate, hyper.max_gradient)
+    value, value_moments = descend(state.value, state.value_moments, gradient, value_rate, hyper.max_gradient)
     state = eqx.tree_at(
         lambda s: (s.policy, s.value, s.policy_moments, s.value_moments),
         state,
@@ -158,7 +158,7 @@ def _improve(
     return state, {"policy_loss": loss, "value_loss": error, **diagnostics}
 
 
-def _all_finite(tree: Any) -> Bool[Array, ""]:
+def all_finite(tree: Any) -> Bool[Array, ""]:
     leaves = jax.tree.leaves(eqx.filter(tree, eqx.is_inexact_array))
     return jnp.all(jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in leaves]))
 
@@ -181,9 +181,9 @@ def _update(
         def step(state: TrainState, part: Batch) -> tuple[TrainState, dict[str, Any]]:
             return _improve(state, part, hyper, progress)
 
-        return _scan(step, state, _minibatches(batch, key, shape.minibatches))
+        return scan_state(step, state, split_minibatches(batch, key, shape.minibatches))
 
-    state, losses = _scan(epoch, state, jax.random.split(shuffle_key, shape.epochs))
+    state, losses = scan_state(epoch, state, jax.random.split(shuffle_key, shape.epochs))
     transition = rollout.transition
     losses = jax.tree.map(jnp.mean, losses)
     metrics = {
@@ -191,7 +191,7 @@ def _update(
         "terminated": transition.terminated.mean(dtype=jnp.float32),
         "signals": jax.tree.map(jnp.mean, transition.signals),
         **losses,
-        "finite": _all_finite((state.policy, state.value, losses)),
+        "finite": all_finite((state.policy, state.value, losses)),
     }
     state = eqx.tree_at(
         lambda s: (s.env_state, s.key, s.update), state, (env_state, jax.random.key_data(key), state.update + 1)
@@ -199,7 +199,7 @@ def _update(
     return state, metrics
 
 
-def _scan(
+def scan_state(
     step: Callable[[TrainState, Any], tuple[TrainState, Any]], state: TrainState, xs: Any, length: int | None = None
 ) -> tuple[TrainState, Any]:
     """Scans over a training state whose networks may have leaves that are no arrays, such as activation functions."""
@@ -239,4 +239,4 @@ def train_chunk(
         return _update(state, env, hyper, shape)
 
     state = eqx.tree_at(lambda s: s.env_state, state, sharding.shard_batch(state.env_state))
-    return sharding.replicate(_scan(step, state, None, length=updates))
+    return sharding.replicate(scan_state(step, state, None, length=updates))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,7 +12,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from murmurate.learning import sharding
-from murmurate.learning.config import Hyperparameters, Shape
 from murmurate.learning.environment import Environment
 from murmurate.learning.ppo import TrainState, train_chunk
 
@@ -29,20 +28,22 @@ class Chunk:
         hyper: Numbers that can change without recompiling.
         shape: Numbers that cannot.
         updates: Number of updates.
+        train: Runs them: see `ppo.train_chunk`.
     """
 
     state: TrainState
     env: Environment
-    hyper: Hyperparameters
-    shape: Shape
+    hyper: Any
+    shape: Hashable
     updates: int
+    train: Callable[..., tuple[TrainState, dict[str, Any]]] = train_chunk
 
     @property
     def program(self) -> Hashable:
         """Everything that the compiled program depends on: chunks that agree in it can run together."""
         leaves, structure = jax.tree.flatten((self.state, self.env, self.hyper))
         kinds = tuple((leaf.shape, leaf.dtype) if eqx.is_array(leaf) else leaf for leaf in leaves)
-        return structure, kinds, self.shape, self.updates
+        return structure, kinds, self.shape, self.updates, self.train
 
 
 def train_together(chunks: Sequence[Chunk]) -> list[tuple[TrainState, dict[str, Any]]]:
@@ -66,12 +67,13 @@ def train_together(chunks: Sequence[Chunk]) -> list[tuple[TrainState, dict[str, 
 def _run(chunks: list[Chunk]) -> list[tuple[TrainState, dict[str, Any]]]:
     first = chunks[0]
     if len(chunks) == 1:
-        return [sharding.to_host(train_chunk(*_put((first.state, first.env, first.hyper)), first.shape, first.updates))]
+        tree = _put((first.state, first.env, first.hyper))
+        return [sharding.to_host(first.train(*tree, first.shape, first.updates))]
     trees = [(chunk.state, chunk.env, chunk.hyper) for chunk in chunks]
     # A leaf that is the same in all is not batched: a loop whose length all share then stays a plain loop.
     axes = jax.tree.map(lambda *leaves: None if _same(leaves) else 0, *trees)
     joined = jax.tree.map(lambda *leaves: leaves[0] if _same(leaves) else jnp.stack(leaves), *trees)
-    trained = sharding.to_host(_train(_put(joined), axes, len(chunks), first.shape, first.updates))
+    trained = sharding.to_host(_train(_put(joined), axes, len(chunks), first.train, first.shape, first.updates))
     return [
         jax.tree.map(lambda leaf, index=index: leaf[index] if eqx.is_array(leaf) else leaf, trained)
         for index in range(len(chunks))
@@ -94,8 +96,10 @@ def _same(leaves: Sequence[Any]) -> bool:
 
 
 @eqx.filter_jit
-def _train(joined: Any, axes: Any, count: int, shape: Shape, updates: int) -> tuple[TrainState, dict[str, Any]]:
-    def train(tree: tuple[TrainState, Environment, Hyperparameters]) -> tuple[TrainState, dict[str, Any]]:
+def _train(
+    joined: Any, axes: Any, count: int, train_chunk: Callable[..., Any], shape: Hashable, updates: int
+) -> tuple[TrainState, dict[str, Any]]:
+    def train(tree: tuple[TrainState, Environment, Any]) -> tuple[TrainState, dict[str, Any]]:
         return train_chunk(*tree, shape, updates)
 
     return eqx.filter_vmap(train, in_axes=(axes,), axis_size=count)(joined)

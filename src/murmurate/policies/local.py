@@ -25,6 +25,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from murmurate.errors import InputError
 from murmurate.geometry._batch_last import sum_terms
 from murmurate.policies.base import Policy, PolicyNetwork
 from murmurate.policies.equivariant import SharedPolicy, ValueHead
@@ -40,7 +41,7 @@ from murmurate.policies.features import (
 )
 from murmurate.policies.hull import CORNER_CHANNELS, EDGE_CHANNELS, hull
 from murmurate.policies.layers import Dense, Linear, bounded
-from murmurate.policies.shield import limit_wall_approach
+from murmurate.policies.shield import limit_wall_approach, wall_directions
 from murmurate.types import Observation
 from murmurate.world.config import WorldConfig
 
@@ -51,6 +52,10 @@ CRITICAL = 6.0
 """Lines of sight about to be crossed weigh, all together, less than so many robots near by."""
 
 
+WALL_REACH = 2.0
+"""Walls farther away than about so many safe distances do not count: no swarm drifts away from them for ever."""
+
+
 @Policy.register("local")
 class LocalPolicy(SharedPolicy):
     """One network shared by all robots, each of which acts on what it alone perceives.
@@ -58,7 +63,10 @@ class LocalPolicy(SharedPolicy):
     Attributes:
         hidden: Widths of the node and the edge layer; one number serves for both.
         basis: Number of radial basis functions.
+        walls: Whether robots act on the walls that they perceive; otherwise walls only limit their velocities.
     """
+
+    walls: bool = eqx.field(default=False, static=True)
 
     perceives: ClassVar[bool] = True
 
@@ -76,20 +84,24 @@ class LocalNetwork(PolicyNetwork):
     mine: Linear
     head: Dense
     to_point: Dense
+    to_walls: Dense | None
     log_std: Float[Array, ""]
     basis: int = eqx.field(static=True)
     world: WorldConfig = eqx.field(static=True)
     landmark: bool = eqx.field(static=True)
 
-    def __init__(self, policy: SharedPolicy, world: WorldConfig, landmark: bool, key: PRNGKeyArray) -> None:
+    def __init__(self, policy: LocalPolicy, world: WorldConfig, landmark: bool, key: PRNGKeyArray) -> None:
         keys = jax.random.split(key, 5)
         nodes, edges = policy.hidden[0], policy.hidden[-1]
         robots = robot_channels(policy.basis, landmark, scale_free=True) + CORNER_CHANNELS
+        robots += policy.basis if policy.walls else 0
         self.node = Dense(robots, nodes, keys[0], gain=5 / 3)
         self.pair = Dense(pair_channels(policy.basis) + EDGE_CHANNELS, edges, keys[1])
         self.mine = Linear(nodes, edges, keys[2])
         self.head = Dense(edges, 4, keys[3], gain=0.05)
         self.to_point = Dense(nodes, 2, keys[4], gain=0.05)
+        # Of a key of its own, so that the other weights are those of a policy without.
+        self.to_walls = Dense(nodes, policy.basis, jax.random.fold_in(key, 5), gain=0.05) if policy.walls else None
         self.log_std = jnp.zeros(())
         self.basis = policy.basis
         self.world = world
@@ -106,7 +118,10 @@ class LocalNetwork(PolicyNetwork):
         around = pair_and_robot_features(x, y, seen, px, py, self.basis, world, self.landmark, scale_free=True)
         square = jnp.where(seen, x * x + y * y, 1.0)
         outline = hull(around.ux, around.uy, jnp.sqrt(square) / world.radius, seen)
-        nodes = jnp.tanh(self.node(jnp.concatenate([_compressed(around.robot), outline.robot])))
+        robots = [_compressed(around.robot), outline.robot]
+        walls = None if view.walls is None else view.walls * scale[:, None, None]
+        robots += [] if self.to_walls is None else [jnp.sum(self._near_walls(walls), axis=2)]
+        nodes = jnp.tanh(self.node(jnp.concatenate(robots)))
         pairs = jnp.concatenate([_compressed(around.pair), outline.pair])
         edges = jnp.tanh(self.pair(pairs) + self.mine(nodes)[:, :, None])
         weight = self._weight(around)
@@ -115,8 +130,19 @@ class LocalNetwork(PolicyNetwork):
             ux, uy, _ = point(px, py, self.basis, world.safe_distance)
             g, h = self.to_point(nodes)
             vx, vy = vx + g * ux - h * uy, vy + g * uy + h * ux
+        if self.to_walls is not None and walls is not None:
+            strength = jnp.sum(self.to_walls(nodes)[:, :, None] * self._near_walls(walls), axis=0)
+            push = jnp.sum(strength[:, :, None] * wall_directions(walls)[0], axis=1)
+            vx, vy = vx + push[:, 0], vy + push[:, 1]
         velocity = bounded(vx, vy, world.max_speed)
-        return velocity if view.walls is None else limit_wall_approach(velocity, view.walls * scale[:, None, None])
+        return velocity if walls is None else limit_wall_approach(velocity, walls)
+
+    def _near_walls(self, walls: Any) -> Float[Array, "basis robots 4 *batch"]:
+        """Returns the radial basis of the distance of each wall, faded out beyond `WALL_REACH`."""
+        if walls is None:
+            raise InputError("sensing.walls", False, "true with policy.walls: robots act on walls that they perceive")
+        distance = wall_directions(walls)[1] / self.world.safe_distance
+        return jnp.exp(-((distance / WALL_REACH) ** 2)) * radial_basis(jnp.log(distance + 0.02), self.basis)
 
     def _weight(self, around: Surroundings) -> Array:
         """How much each robot seen counts, besides in the mean."""

@@ -85,6 +85,8 @@ class ExperimentConfig(Problem):
             for name, value in table.items():
                 if name not in (*names, *extra):
                     raise InputError(f"{section}.{name}", value, f"for a signal of the objective ({', '.join(names)})")
+        for index in range(2):
+            self.refinement(index)  # refuses weights of signals that there are not
         for name, least in self.valid.items():
             check_number(f"valid.{name}", least)
 

@@ -173,7 +173,7 @@ def _training_progress(folder: Path, config: ExperimentConfig) -> Progress | Non
     if not rows:
         return None
     last, speed = rows[-1], rows[-1]["steps_per_second"]
-    policy, updates, left = last["policy"], config.stage(last["policy"]).ppo.updates, None
+    policy, updates, left = last["policy"], config.stage(last["policy"]).learning.updates, None
     if len(rows) > 1 and speed:
         steps = last["environment_steps"] - rows[-2]["environment_steps"]
         left = (updates - last["update"]) * steps / speed

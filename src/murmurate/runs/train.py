@@ -160,7 +160,7 @@ class _Training:
     def environment_steps(self, policies: int) -> int:
         """Returns the steps that training the first policies of the list took; evaluations are not training."""
         curriculum, problem = self.search.curriculum, self.search.problem
-        return sum(curriculum.steps(index, problem.stage(index).ppo.updates) for index in range(policies))
+        return sum(curriculum.steps(index, problem.stage(index).learning.updates) for index in range(policies))
 
 
 # Before the training: what the folders hold, and what the training begins with
@@ -357,7 +357,7 @@ def _report(
     if after and after[behind].checkpoint.snapshot.train is None:
         values["valid"] = statistics.fmean(training.checkpoint.snapshot.valid for training in after)
     work = _policy_title(policy) + (f" of {len(before)} runs" if len(before) > 1 else "")
-    on_progress(work, done, before[behind].search.problem.stage(policy).ppo.updates, **values)
+    on_progress(work, done, before[behind].search.problem.stage(policy).learning.updates, **values)
 
 
 def _policy_title(index: int) -> str:

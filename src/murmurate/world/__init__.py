@@ -8,6 +8,7 @@ from murmurate.world.env import (
     ObservedState,
     ScheduledState,
     SchedulerWrapper,
+    ShortfallReward,
     State,
     World,
     Wrapper,
@@ -22,6 +23,7 @@ from murmurate.world.scheduling import (
 )
 from murmurate.world.sensing import Frames, GlobalSensing, ScanSensing, Sensing, VisibleSensing
 from murmurate.world.signals import OBJECTIVES, Configuration, Objective, Signal, objective_signals
+from murmurate.world.smooth import Centered, Compact, Exposed, SmoothSafety, SmoothVisible
 from murmurate.world.starts import (
     DistributedStart,
     Family,
@@ -49,9 +51,12 @@ __all__ = [
     "ActionRepeat",
     "Activation",
     "AsyncScheduler",
+    "Centered",
     "Clock",
+    "Compact",
     "Configuration",
     "DistributedStart",
+    "Exposed",
     "Family",
     "FileStart",
     "Frames",
@@ -70,7 +75,10 @@ __all__ = [
     "Scheduler",
     "SchedulerWrapper",
     "Sensing",
+    "ShortfallReward",
     "Signal",
+    "SmoothSafety",
+    "SmoothVisible",
     "SsyncScheduler",
     "Start",
     "State",

@@ -32,6 +32,7 @@ __all__ = [
     "ObservedState",
     "ScheduledState",
     "SchedulerWrapper",
+    "ShortfallReward",
     "State",
     "World",
     "WrappedState",
@@ -285,6 +286,27 @@ class ActionRepeat(Wrapper):
             return jax.tree.map(lambda old, new: jnp.where(done, old, new), carry, (after, transition))
 
         return jax.lax.fori_loop(1, self.times, repeat, first)
+
+
+class ShortfallReward(Wrapper):
+    """Rewards every step by how far the objective is from its best, instead of by its change.
+
+    So time counts, and the reward of a step says in which direction a better configuration lies where the signals do.
+
+    Attributes:
+        recorded: The signals that transitions report, in place of those of the objective; no gradient passes through.
+    """
+
+    recorded: dict[str, Signal]
+
+    def step(self, state: Any, action: Any) -> tuple[Any, Transition]:
+        """Advances every episode by one step."""
+        after, transition = self.env.step(state, action)
+        best = sum(self.unwrapped.objective.weights.values())
+        reward = jnp.where(transition.terminated, transition.reward, after.objective - best)
+        configuration = Configuration(jax.lax.stop_gradient(after.positions), self.config)
+        signals = {name: signal.value(configuration) for name, signal in self.recorded.items()}
+        return after, Transition(reward, transition.terminated, transition.truncated, signals, reward[None])
 
 
 class ObservedState(WrappedState):

@@ -1,0 +1,162 @@
+"""Signals with a gradient: smooth counterparts of those that count robots, for refinement through the world.
+
+Where these are at their best the paper's signals are too, but they also say in which direction to go. None of them is
+part of an objective unless a configuration names it.
+"""
+
+from __future__ import annotations
+
+import math
+import operator
+from typing import Any
+
+import equinox as eqx
+from jaxtyping import Float
+
+from murmurate.errors import MAX_MAGNITUDE, check_number
+from murmurate.geometry import _batch_last
+from murmurate.geometry._batch_last import sum_terms
+from murmurate.geometry.rings import smallest_ring_radius
+from murmurate.world.signals import Configuration, Signal
+
+Array = Any  # a NumPy or a JAX array
+
+__all__ = ["Centered", "Compact", "Exposed", "SmoothSafety", "SmoothVisible"]
+
+STEEPNESS = 10 / 3
+"""How steeply the first hidden robot counts against all of them."""
+
+
+@Signal.register("smooth_visible")
+class SmoothVisible(Signal):
+    """How far every line of sight passes from the robots near it.
+
+    A robot i is hidden from k by a nearer robot j when the angle between them is less than the sum w of the half-angles
+    that their discs cover. Each such pair counts by how far the angle is below (1 + margin) w, and each robot by the
+    logarithm of what it does not see: the last hidden robot matters, and so does one of many.
+
+    Attributes:
+        margin: Share of w by which a line of sight should pass.
+    """
+
+    margin: float = eqx.field(default=0.15, kw_only=True)
+
+    def __check_init__(self) -> None:
+        check_number("margin", self.margin, 0, MAX_MAGNITUDE)
+
+    def __call__(self, configuration: Configuration) -> Float[Array, "robots *batch"]:
+        """Returns each robot's share: 1 where it sees all others with the margin, 0 where it sees none."""
+        xp, robots, radius = configuration.xp, configuration.positions.shape[0], configuration.world.radius
+        dx, dy, distance, apart = _pairs(configuration)
+        ux, uy = (xp.where(apart, d / distance, 0.0) for d in (dx, dy))
+        half = xp.asin(xp.minimum(radius / distance, 0.999))
+
+        def shadow(j: int) -> tuple[Any]:
+            # Of the observer (first axis), another robot (second) and robot j.
+            jx, jy = ux[:, j, None], uy[:, j, None]
+            cos, sin = ux * jx + uy * jy, ux * jy - uy * jx
+            defined = apart & apart[:, j, None] & (distance[:, j, None] < distance)
+            angle = xp.abs(xp.atan2(xp.where(defined, sin, 0.0), xp.where(defined, cos, 1.0)))
+            lack = 1 - angle / ((1 + self.margin) * (half + half[:, j, None]))
+            return (xp.where(defined & (lack > 0), lack**2, 0.0),)
+
+        (total,) = sum_terms(shadow, robots)
+        hidden = total / (1 + total)
+        count = _batch_last.fold(operator.add, hidden, 1)
+        return 1 - xp.log1p(STEEPNESS * count) / math.log1p(STEEPNESS * (robots - 1))
+
+
+@Signal.register("smooth_safety")
+class SmoothSafety(Signal):
+    """How well the robots keep the safe distance and a margin, without the cusp that `safety` has there.
+
+    Attributes:
+        margin: Share of the safe distance by which robots should keep farther apart.
+    """
+
+    margin: float = eqx.field(default=0.05, kw_only=True)
+
+    def __check_init__(self) -> None:
+        check_number("margin", self.margin, 0, MAX_MAGNITUDE)
+
+    def __call__(self, configuration: Configuration) -> Float[Array, "robots *batch"]:
+        """Returns 1 - sum max(0, 1 + margin - d / delta_s)^2 over a robot's pairs."""
+        xp, world = configuration.xp, configuration.world
+        _, _, distance, apart = _pairs(configuration)
+        lack = 1 + self.margin - distance / world.safe_distance
+        return 1 - _batch_last.fold(operator.add, xp.where(apart & (lack > 0), lack**2, 0.0), 1)
+
+
+@Signal.register("compact")
+class Compact(Signal):
+    """How near the robots are to each other: 1 on the smallest regular ring that is a valid pattern, linear beyond."""
+
+    def __call__(self, configuration: Configuration) -> Float[Array, "robots *batch"]:
+        """Returns 2 - a robot's mean distance to the others / the same on the smallest ring."""
+        xp, robots = configuration.xp, configuration.positions.shape[0]
+        _, _, distance, apart = _pairs(configuration)
+        total = _batch_last.fold(operator.add, xp.where(apart, distance, 0.0), 1)
+        # On a ring of radius 1 the distances to the others add up to 2 cot(pi / 2N).
+        return 2 - total * math.tan(math.pi / (2 * robots)) / (2 * _ring_radius(configuration))
+
+
+@Signal.register("centered")
+class Centered(Signal):
+    """How near the robots are to the gathering point: 1 on the smallest valid ring around it, linear beyond."""
+
+    def __call__(self, configuration: Configuration) -> Float[Array, "robots *batch"]:
+        """Returns 2 - ||P_n|| / the radius of the smallest ring."""
+        xp, positions = configuration.xp, configuration.positions
+        square = positions[:, 0] ** 2 + positions[:, 1] ** 2
+        distance = xp.where(square > 0, xp.sqrt(xp.where(square > 0, square, 1.0)), 0.0)
+        return 2 - distance / _ring_radius(configuration)
+
+
+@Signal.register("exposed")
+class Exposed(Signal):
+    """How far the widest empty angle around each robot is from a half turn, as at a corner of the convex hull.
+
+    A robot that is enclosed by others hides some of them wherever it goes, and no smooth measure of what is hidden says
+    where out is. Out is where the gap is widest.
+
+    Attributes:
+        margin: Share of the half turn by which the gap should be wider.
+    """
+
+    margin: float = eqx.field(default=0.02, kw_only=True)
+
+    def __check_init__(self) -> None:
+        check_number("margin", self.margin, 0, MAX_MAGNITUDE)
+
+    def __call__(self, configuration: Configuration) -> Float[Array, "robots *batch"]:
+        """Returns 1 - max(0, 1 + margin - gap / pi)."""
+        xp = configuration.xp
+        dx, dy, _, apart = _pairs(configuration)
+        angle = xp.where(apart, xp.atan2(xp.where(apart, dy, 0.0), xp.where(apart, dx, 1.0)), 4 * math.pi)
+        angle = xp.sort(angle, axis=1)
+        # Robots at one place have no direction; the last of those that have is followed by the first, a turn later.
+        first = angle[:, :1] + 2 * math.pi
+        following = xp.concat([angle[:, 1:], xp.broadcast_to(xp.asarray(4 * math.pi), first.shape)], axis=1)
+        gap = xp.where(following >= 4 * math.pi, first, following) - angle
+        widest = xp.max(xp.where(angle >= 4 * math.pi, 0.0, gap), axis=1)
+        lack = 1 + self.margin - widest / math.pi
+        return 1 - xp.where(lack > 0, lack, 0.0)
+
+
+def _pairs(configuration: Configuration) -> tuple[Any, Any, Any, Any]:
+    """Returns dx, dy and distance from each robot (row) to each other, and which are at another place.
+
+    The distance of two robots at one place is given as 1: a square root has no gradient at 0.
+    """
+    xp, positions = configuration.xp, configuration.positions
+    dx = positions[None, :, 0] - positions[:, None, 0]
+    dy = positions[None, :, 1] - positions[:, None, 1]
+    square = dx * dx + dy * dy
+    apart = square > 0
+    return dx, dy, xp.sqrt(xp.where(apart, square, 1.0)), apart
+
+
+def _ring_radius(configuration: Configuration) -> Any:
+    world = configuration.world
+    count = configuration.xp.asarray(float(configuration.positions.shape[0]))
+    return smallest_ring_radius(count, world.radius, world.safe_distance)

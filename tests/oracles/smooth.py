@@ -1,0 +1,54 @@
+"""The smooth signals of one configuration in plain loops over robots, from their definitions."""
+
+from __future__ import annotations
+
+from math import acos, asin, atan2, hypot, log1p, pi, sin, tan
+
+import numpy as np
+
+
+def smooth_visible(positions: np.ndarray, radius: float, margin: float) -> list[float]:
+    """Each robot's share: the logarithm of how much of the others the nearer ones hide or nearly hide."""
+    robots, shares = len(positions), []
+    for k in range(robots):
+        hidden = 0.0
+        for i in range(robots):
+            lack = 0.0
+            for j in range(robots):
+                if len({i, j, k}) < 3:
+                    continue
+                to_i, to_j = positions[i] - positions[k], positions[j] - positions[k]
+                far, near = hypot(*to_i), hypot(*to_j)
+                if near >= far:
+                    continue
+                angle = acos(max(-1.0, min(1.0, float(to_i @ to_j) / (far * near))))
+                wide = (1 + margin) * (asin(radius / far) + asin(radius / near))
+                lack += max(0.0, 1 - angle / wide) ** 2
+            hidden += lack / (1 + lack)
+        shares.append(1 - log1p(10 / 3 * hidden) / log1p(10 / 3 * (robots - 1)))
+    return shares
+
+
+def smooth_safety(positions: np.ndarray, safe_distance: float, margin: float) -> list[float]:
+    """Each robot's share: the squares of what lacks to the safe distance and its margin."""
+    others = [(i, j) for i in range(len(positions)) for j in range(len(positions)) if i != j]
+    lack = {pair: 1 + margin - hypot(*(positions[pair[0]] - positions[pair[1]])) / safe_distance for pair in others}
+    return [1 - sum(max(0.0, lack[k, i]) ** 2 for k, i in others if k == n) for n in range(len(positions))]
+
+
+def compact(positions: np.ndarray, ring_radius: float) -> list[float]:
+    """Each robot's share: its mean distance, in that of a robot on the smallest ring."""
+    robots = len(positions)
+    on_ring = sum(2 * ring_radius * sin(pi * m / robots) for m in range(1, robots))
+    assert abs(on_ring - 2 * ring_radius / tan(pi / (2 * robots))) < 1e-9 * on_ring
+    return [2 - sum(hypot(*(p - q)) for q in positions) / on_ring for p in positions]
+
+
+def exposed(positions: np.ndarray, margin: float) -> list[float]:
+    """Each robot's share: the widest empty angle around it, up to a half turn and a margin."""
+    shares = []
+    for k, p in enumerate(positions):
+        angles = sorted(atan2(*(q - p)[::-1]) for i, q in enumerate(positions) if i != k)
+        gaps = [b - a for a, b in zip(angles, [*angles[1:], angles[0] + 2 * pi], strict=True)]
+        shares.append(1 - max(0.0, 1 + margin - max(gaps) / pi))
+    return shares

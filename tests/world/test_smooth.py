@@ -1,0 +1,127 @@
+"""Smooth signals against loops in float64; their gradients against differences; where they are at their best."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from murmurate.errors import InputError
+from murmurate.geometry import smallest_ring
+from murmurate.world import Centered, Compact, Configuration, Exposed, SmoothSafety, SmoothVisible, WorldConfig
+from oracles import configurations, smooth
+
+RADIUS, SAFE = 1.0, 5.0
+SIGNALS = [SmoothVisible(), SmoothSafety(), Compact(), Centered(), Exposed()]
+named = pytest.mark.parametrize("signal", SIGNALS, ids=lambda signal: signal.name)
+
+
+def configuration(positions):
+    world = WorldConfig(
+        robots=positions.shape[0], half_width=40.0, half_height=40.0, radius=RADIUS, scan_radius=120.0,
+        safe_distance=SAFE, max_speed=1.0,
+    )  # fmt: skip
+    return Configuration(positions, world)
+
+
+def ring(robots, wider):
+    return wider * smallest_ring(robots, RADIUS, SAFE).positions
+
+
+def drawn(seed, robots, side):
+    return configurations.disjoint(np.random.default_rng(seed), 1, robots, RADIUS, side)[0].astype(float)
+
+
+@given(seed=st.integers(0, 2**32 - 1), robots=st.integers(2, 9), side=st.sampled_from([9.0, 14.0, 28.0]))
+def test_signals_are_the_oracles(seed, robots, side):
+    positions = drawn(seed, robots, side)
+    radius = float(np.hypot(*smallest_ring(robots, RADIUS, SAFE).positions[0]))
+    expected = {
+        "smooth_visible": smooth.smooth_visible(positions, RADIUS, 0.15),
+        "smooth_safety": smooth.smooth_safety(positions, SAFE, 0.05),
+        "compact": smooth.compact(positions, radius),
+        "centered": [2 - np.hypot(*p) / radius for p in positions],
+        "exposed": smooth.exposed(positions, 0.02),
+    }
+    for signal in SIGNALS:
+        shares = signal(configuration(positions[:, :, None]))[:, 0]
+        np.testing.assert_allclose(shares, expected[signal.name], rtol=1e-9, atol=1e-9, err_msg=signal.name)
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+def test_gradients_are_the_differences(seed):
+    positions = drawn(seed, 5, 14.0)
+    rng = np.random.default_rng(seed)
+    direction = rng.normal(size=positions.shape)
+    step = 1e-5
+    for signal in SIGNALS:
+        around = [signal.value(configuration(positions + sign * step * direction)) for sign in (-2, -1, 0, 1, 2)]
+        central = (around[3] - around[1]) / (2 * step)
+        # At a kink, such as that of the widest of two gaps, the two sides differ.
+        sides = [(around[2] - around[0]) / (2 * step), (around[4] - around[2]) / (2 * step)]
+        assume(abs(sides[0] - sides[1]) < 1e-4)
+        slope = float(jnp.sum(gradient(signal, jnp.asarray(positions, jnp.float32)) * direction))
+        np.testing.assert_allclose(slope, central, rtol=1e-3, atol=1e-4, err_msg=signal.name)
+
+
+@jax.jit
+def _gradients(positions):
+    return [jax.grad(lambda p, signal=signal: signal.value(configuration(p)))(positions) for signal in SIGNALS]
+
+
+def gradient(signal, positions):
+    return _gradients(positions)[SIGNALS.index(signal)]
+
+
+@named
+@pytest.mark.parametrize("robots", [2, 3, 8, 20])
+def test_a_valid_pattern_with_room_to_spare_is_the_best(signal, robots):
+    value = signal.value(configuration(ring(robots, 1.16)[:, :, None]))[0]
+    if signal.name in ("compact", "centered"):
+        assert value == pytest.approx(2 - 1.16)
+    else:
+        assert value == 1
+
+
+@named
+def test_the_smallest_ring_is_as_compact_as_it_gets(signal):
+    if signal.name in ("compact", "centered"):
+        assert signal.value(configuration(ring(7, 1.0))) == pytest.approx(1)
+
+
+def test_no_robot_in_sight_is_the_worst():
+    """In a row everybody sees the next robot only, so the ends see one of three."""
+    row = np.array([[0.0, 0.0], [6.0, 0.0], [12.0, 0.0], [18.0, 0.0]])
+    shares = SmoothVisible()(configuration(row[:, :, None]))[:, 0]
+    assert shares[0] == pytest.approx(shares[3])
+    assert shares[1] > shares[0] > 0
+
+
+def test_an_enclosed_robot_is_led_out_through_the_widest_gap():
+    around = ring(6, 1.3)
+    enclosed = np.concatenate([np.array([[0.3, 0.0]]), np.delete(around, 0, axis=0)])  # the gap is in direction x
+    share, slope = jax.value_and_grad(lambda p: Exposed()(configuration(p))[0])(jnp.asarray(enclosed, jnp.float32))
+    assert share < 1
+    assert slope[0, 0] > 0.1 * abs(slope[0, 1])
+    assert slope[0, 0] > 0
+
+
+@named
+def test_robots_at_one_place_give_finite_numbers(signal):
+    for positions in (np.zeros((4, 2)), np.array([[0.0, 0.0], [0.0, 0.0], [5.0, 0.0], [0.0, 7.0]])):
+        value = signal.value(configuration(positions))
+        assert np.isfinite(value)
+        assert np.isfinite(gradient_of(signal, jnp.asarray(positions, jnp.float32))).all()
+
+
+def gradient_of(signal, positions):
+    return jax.grad(lambda p: signal.value(configuration(p)))(positions)
+
+
+@pytest.mark.parametrize("strategy", [SmoothVisible, SmoothSafety, Exposed])
+def test_margins_below_zero_are_refused(strategy):
+    with pytest.raises(InputError, match="margin"):
+        strategy(margin=-0.1)
