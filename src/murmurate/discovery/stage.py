@@ -19,6 +19,7 @@ from murmurate.discovery.problem import Problem
 from murmurate.learning import Chunk, Hyperparameters, Shape, TrainState, init, set_log_std
 from murmurate.world import (
     ActionRepeat,
+    HardStart,
     JitteredStart,
     MixtureStart,
     Start,
@@ -71,6 +72,8 @@ def training_world(problem: Problem, index: int, start: Start, sigma: Float[Arra
     start = MixtureStart(first, UniformStart(stage.random_spread), random_share)
     if problem.base.symmetric_share:
         start = MixtureStart(start, SymmetricStart(), stage.symmetric_share if is_base else 0.0)
+    if problem.base.hard_share:
+        start = MixtureStart(start, HardStart(), stage.hard_share if is_base else 0.0)
     per_robot = problem.policy.credit == "robots"
     horizon: Any = jnp.asarray(stage.horizon, jnp.int32)
     signals, weights = problem.objective_signals, problem.weights(index)

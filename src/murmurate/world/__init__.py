@@ -12,6 +12,7 @@ from murmurate.world.env import (
     World,
     Wrapper,
 )
+from murmurate.world.hard_starts import ClusterStart, CornerStart, GridStart, HardStart, WallsStart, WallStart
 from murmurate.world.scheduling import (
     Activation,
     AsyncScheduler,
@@ -22,26 +23,22 @@ from murmurate.world.scheduling import (
 )
 from murmurate.world.sensing import Frames, GlobalSensing, ScanSensing, Sensing, VisibleSensing
 from murmurate.world.signals import OBJECTIVES, Configuration, Objective, Signal, objective_signals
+from murmurate.world.start_files import check_configurations, checked_starts, read_named_starts, read_starts
 from murmurate.world.starts import (
     DistributedStart,
-    Family,
     FileStart,
     JitteredStart,
     MixtureStart,
     PackedStart,
     ScatteredStart,
     Start,
-    SymmetricStart,
     UniformStart,
-    check_configurations,
     check_start,
-    checked_starts,
     draw_starts,
     episodes_at_once,
-    read_named_starts,
-    read_starts,
     redraw_overlaps,
 )
+from murmurate.world.symmetric_starts import Family, SymmetricStart
 
 __all__ = [
     "MAX_ROBOTS",
@@ -50,13 +47,17 @@ __all__ = [
     "Activation",
     "AsyncScheduler",
     "Clock",
+    "ClusterStart",
     "Configuration",
+    "CornerStart",
     "DistributedStart",
     "Family",
     "FileStart",
     "Frames",
     "FsyncScheduler",
     "GlobalSensing",
+    "GridStart",
+    "HardStart",
     "JitteredStart",
     "LocalObservation",
     "MixtureStart",
@@ -79,6 +80,8 @@ __all__ = [
     "UniformStart",
     "View",
     "VisibleSensing",
+    "WallStart",
+    "WallsStart",
     "World",
     "WorldConfig",
     "Wrapper",
