@@ -100,7 +100,7 @@ def test_a_corner_cluster_has_robots_at_both_walls(robots):
     least = gaps(points, world).min(axis=1)
     assert (least <= 2 * world.radius + 1e-3).all()
     exactly = (least == 0).mean(axis=0)
-    assert ((0.3 < exactly) & (exactly < 0.7)).all(), "half of the time exactly at the wall"
+    assert ((exactly > 0.3) & (exactly < 0.7)).all(), "half of the time exactly at the wall"
     corners = np.unique(np.sign(points.mean(axis=1)), axis=0)
     assert len(corners) == 4, "every corner"
     side = 2 * 1.8 * (np.sqrt(robots * np.sqrt(0.75)) + 3)
