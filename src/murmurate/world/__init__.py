@@ -12,7 +12,7 @@ from murmurate.world.env import (
     World,
     Wrapper,
 )
-from murmurate.world.hard_starts import ClusterStart, CornerStart, GridStart, HardStart, WallsStart, WallStart
+from murmurate.world.hard_starts import ClusterStart, CornerStart, HardStart, TightGridStart, WallsStart, WallStart
 from murmurate.world.scheduling import (
     Activation,
     AsyncScheduler,
@@ -24,6 +24,7 @@ from murmurate.world.scheduling import (
 from murmurate.world.sensing import Frames, GlobalSensing, ScanSensing, Sensing, VisibleSensing
 from murmurate.world.signals import OBJECTIVES, Configuration, Objective, Signal, objective_signals
 from murmurate.world.start_files import check_configurations, checked_starts, read_named_starts, read_starts
+from murmurate.world.start_sets import start_set
 from murmurate.world.starts import (
     DistributedStart,
     FileStart,
@@ -56,7 +57,6 @@ __all__ = [
     "Frames",
     "FsyncScheduler",
     "GlobalSensing",
-    "GridStart",
     "HardStart",
     "JitteredStart",
     "LocalObservation",
@@ -76,6 +76,7 @@ __all__ = [
     "Start",
     "State",
     "SymmetricStart",
+    "TightGridStart",
     "Transition",
     "UniformStart",
     "View",
@@ -97,5 +98,6 @@ __all__ = [
     "read_starts",
     "redraw_overlaps",
     "scaled_to",
+    "start_set",
     "with_array_leaves",
 ]

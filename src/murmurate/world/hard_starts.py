@@ -29,9 +29,9 @@ from murmurate.world.starts import (
     does_not_fit,
     redraw_overlaps_batch_last,
 )
-from murmurate.world.symmetric_starts import SymmetricStart
+from murmurate.world.symmetric_starts import ComputedStart, SymmetricStart, namespace
 
-__all__ = ["ClusterStart", "CornerStart", "GridStart", "HardStart", "WallStart", "WallsStart"]
+__all__ = ["ClusterStart", "CornerStart", "HardStart", "TightGridStart", "WallStart", "WallsStart"]
 
 EPSILON = float(np.finfo(np.float32).eps)
 
@@ -45,8 +45,8 @@ COVERED = 0.5
 """Share of the walls' length that robots at random places may cover: they jam at three quarters."""
 
 
-class PlacedStart(Start):
-    """A start that computes its configurations from uniform numbers by arithmetic alone: a base class.
+class PlacedStart(ComputedStart):
+    """A start that keeps neighbours apart by the spacing of a pattern: a base class.
 
     Attributes:
         min_spacing: Least distance between the centres of neighbours before jitter, in robot diameters.
@@ -61,30 +61,13 @@ class PlacedStart(Start):
         check_number("min_spacing", self.min_spacing, 1 + CLEARANCE, MAX_INTEGER)
         check_number("max_spacing", self.max_spacing, self.min_spacing, MAX_INTEGER)
 
-    def sample(self, key: PRNGKeyArray, batch: int, world: WorldConfig) -> Float[Array, "batch robots 2"]:
-        """Draws uniform numbers and places the robots by them."""
-        return self.place(*self.uniforms(key, batch, world.robots), world)
-
-    def uniforms(self, key: PRNGKeyArray, batch: int, robots: int) -> tuple[Any, Any]:
-        """Draws what `place` needs: ten numbers from 0 to 1 for each configuration, and two for each robot."""
+    def uniforms(self, key: PRNGKeyArray, batch: int, robots: int) -> tuple[Array, ...]:
+        """Draws ten numbers from 0 to 1 for each configuration, and two more for each robot."""
         shared, each = jax.random.split(key)
         return (
             jax.random.uniform(shared, (10, batch), jnp.float32),
             jax.random.uniform(each, (batch, robots, 2), jnp.float32),
         )
-
-    @abstractmethod
-    def place(self, shared: Any, each: Any, world: WorldConfig) -> Any:
-        """Places robots, in the namespace and precision of the numbers.
-
-        Args:
-            shared: Ten numbers from 0 to 1 for each configuration, `(10, batch)`.
-            each: Two more for each robot, `(batch, robots, 2)`.
-            world: Sizes of the world and its robots.
-
-        Returns:
-            Centres, world units, `(batch, robots, 2)`.
-        """
 
     def _least(self, world: WorldConfig) -> Any:
         """Returns the least distance of neighbours before jitter, world units."""
@@ -92,7 +75,7 @@ class PlacedStart(Start):
 
     def _spacing(self, number: Any, room: Any, world: WorldConfig) -> Any:
         """Returns distances from the least to the greatest there is room for, half of them in the first quarter."""
-        xp, least = _namespace(number), self._least(world)
+        xp, least = namespace(number), self._least(world)
         most = xp.maximum(xp.minimum(self.max_spacing * 2 * world.radius, room), least)
         return least + (most - least) * number**2
 
@@ -111,9 +94,10 @@ class BlockStart(PlacedStart):
             raise does_not_fit(world, f"the {self.name} start")
         return self
 
-    def place(self, shared: Any, each: Any, world: WorldConfig) -> Any:
+    def place(self, numbers: tuple[Any, ...], world: WorldConfig) -> Any:
         """Places a pattern of random spacing, direction and jitter."""
-        xp, bounds = _namespace(shared), _bounds(shared, world)
+        shared, each = numbers
+        xp, bounds = namespace(shared), _bounds(shared, world)
         which, turn, quarter, space, loose, aligned = shared[:6]
         patterns = xp.asarray(self.patterns(world.robots), shared.dtype)
         unit = patterns[_index(which, len(patterns))]
@@ -137,7 +121,7 @@ class BlockStart(PlacedStart):
 
     def _moved(self, points: Any, numbers: Any, bounds: Any, world: WorldConfig) -> Any:
         """Moves each configuration to where it is inside: by default, with equal chances anywhere."""
-        xp = _namespace(points)
+        xp = namespace(points)
         low, high = -bounds - points.min(axis=1), bounds - points.max(axis=1)
         return points + (low + (high - low) * xp.stack([numbers[0], numbers[1]], axis=1))[:, None]
 
@@ -190,15 +174,15 @@ class CornerStart(BlockStart):
         return number >= 0
 
     def _moved(self, points: Any, numbers: Any, bounds: Any, world: WorldConfig) -> Any:
-        xp, size = _namespace(points), points.max(axis=1) - points.min(axis=1)
+        xp, size = namespace(points), points.max(axis=1) - points.min(axis=1)
         drawn = xp.maximum(2 * xp.stack([numbers[0], numbers[1]], axis=1) - 1, 0) * self.max_gap * world.radius
         gap = xp.minimum(drawn, xp.maximum(2 * bounds - size, 0))
         side = xp.where(xp.stack([numbers[2], numbers[3]], axis=1) < 0.5, -1, 1)[:, None]
         return side * (bounds - (points - points.min(axis=1)[:, None] + gap[:, None]))
 
 
-@Start.register("grid")
-class GridStart(BlockStart):
+@Start.register("tight-grid")
+class TightGridStart(BlockStart):
     """A tight square grid, as square as it can be, anywhere in the world: parallel to the walls or turned.
 
     It is exact half of the time, else its robots are moved at random by up to a tenth of what their gaps allow.
@@ -221,7 +205,7 @@ class GridStart(BlockStart):
         return number < 0.5
 
     def _jitter(self, number: Any, world: WorldConfig) -> Any:
-        return 0.1 * _namespace(number).maximum(2 * number - 1, 0)
+        return 0.1 * namespace(number).maximum(2 * number - 1, 0)
 
 
 @Start.register("wall")
@@ -253,9 +237,10 @@ class WallStart(PlacedStart):
                 raise does_not_fit(world, f"the {self.name} start")
         return self
 
-    def place(self, shared: Any, each: Any, world: WorldConfig) -> Any:
+    def place(self, numbers: tuple[Any, ...], world: WorldConfig) -> Any:
         """Places lines of random spacing at a random place of a random wall."""
-        xp, bounds, robots = _namespace(shared), _bounds(shared, world), world.robots
+        shared, each = numbers
+        xp, bounds, robots = namespace(shared), _bounds(shared, world), world.robots
         wall, side, space, regular, gap, shift = shared[:6]
         least, upright = self._least(world), wall < 0.5
         along = xp.where(upright, bounds[1], bounds[0])
@@ -325,7 +310,7 @@ class WallsStart(Start):
 class HardStart(Start):
     """Any of the starts that are hard, with equal chances.
 
-    They are `random`, `cluster`, `corner`, `wall`, `walls`, `grid` and `symmetric`, each with its default fields.
+    They are `random`, `cluster`, `corner`, `wall`, `walls`, `tight-grid` and `symmetric`, each with its default fields.
     """
 
     def sample(self, key: PRNGKeyArray, batch: int, world: WorldConfig) -> Float[Array, "batch robots 2"]:
@@ -346,7 +331,7 @@ class HardStart(Start):
             CornerStart(),
             WallStart(),
             WallsStart(),
-            GridStart(),
+            TightGridStart(),
             SymmetricStart(),
         )
         mixture: Any = first
@@ -381,7 +366,7 @@ def _clusters(robots: int, square: bool) -> Float[np.ndarray, "patterns robots 2
 
 def _turned(points: Any, turn: Any, quarters: Any) -> Any:
     """Turns configurations by an angle within 45 degrees, for turn from 0 to 1, and by quarters of a turn."""
-    xp = _namespace(points)
+    xp = namespace(points)
     cosine, sine = _direction(turn - 0.5)
     odd, half = quarters % 2 == 1, quarters >= 2
     cosine, sine = xp.where(odd, -sine, cosine), xp.where(odd, cosine, sine)
@@ -418,7 +403,3 @@ def _bounds(numbers: Any, world: WorldConfig) -> Any:
     if isinstance(numbers, np.ndarray):
         return world.bounds.astype(numbers.dtype)
     return bounds_of(world)[:, 0]
-
-
-def _namespace(array: Any) -> Any:
-    return np if isinstance(array, np.ndarray) else jnp

@@ -1,8 +1,9 @@
-"""Exactly symmetric initial configurations."""
+"""Initial configurations that are computed from a few uniform numbers; exactly symmetric ones."""
 
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
 from typing import Any, Literal, get_args
 
 import equinox as eqx
@@ -15,7 +16,28 @@ from murmurate.errors import InputError, check_choice
 from murmurate.world.config import WorldConfig
 from murmurate.world.starts import Start, does_not_fit
 
-__all__ = ["Family", "SymmetricStart", "symmetric_layout"]
+__all__ = ["ComputedStart", "Family", "SymmetricStart", "symmetric_layout"]
+
+
+class ComputedStart(Start):
+    """A start that computes its configurations from uniform numbers, without drawing any of them again: a base class.
+
+    It computes in the namespace and precision of the numbers: in JAX's single precision under a jit, and in NumPy's
+    double precision for sets of starts, whose digits must be the same on every machine.
+    """
+
+    def sample(self, key: PRNGKeyArray, batch: int, world: WorldConfig) -> Float[Array, "batch robots 2"]:
+        """Draws uniform numbers and places the robots by them."""
+        return self.place(self.uniforms(key, batch, world.robots), world)
+
+    @abstractmethod
+    def uniforms(self, key: PRNGKeyArray, batch: int, robots: int) -> tuple[Array, ...]:
+        """Draws the numbers that `place` needs for a batch of configurations."""
+
+    @abstractmethod
+    def place(self, numbers: tuple[Any, ...], world: WorldConfig) -> Any:
+        """Returns the centres, world units, `(batch, robots, 2)`."""
+
 
 Family = Literal["polygon", "line", "grid", "rings"]
 
@@ -25,7 +47,7 @@ the wall."""
 
 
 @Start.register("symmetric")
-class SymmetricStart(Start):
+class SymmetricStart(ComputedStart):
     """Exactly symmetric configurations around the origin, each of a random width and direction.
 
     They are the hardest for robots that are all alike: a deterministic policy that depends only on what is seen keeps
@@ -43,19 +65,27 @@ class SymmetricStart(Start):
     def __check_init__(self) -> None:
         check_choice("family", self.family, ("any", *get_args(Family)))
 
-    def sample(self, key: PRNGKeyArray, batch: int, world: WorldConfig) -> Float[Array, "batch robots 2"]:
-        """Draws widths between the least without contact and the greatest that stays off the walls, and directions."""
+    def uniforms(self, key: PRNGKeyArray, batch: int, robots: int) -> tuple[Array, ...]:
+        """Draws families, shares of the range of widths, and directions."""
         family_key, size_key, angle_key = jax.random.split(key, 3)
+        return (
+            jax.random.randint(family_key, (batch,), 0, len(self._families(robots)), jnp.int32),
+            jax.random.uniform(size_key, (batch,), jnp.float32),
+            jax.random.uniform(angle_key, (batch,), jnp.float32, maxval=2 * jnp.pi),
+        )
+
+    def place(self, numbers: tuple[Any, ...], world: WorldConfig) -> Any:
+        """Places robots at widths between the least without contact and the greatest that stays off the walls."""
+        family, share, angle = numbers
+        xp = namespace(angle)
         layouts = np.stack([symmetric_layout(family, world.robots) for family in self._families(world.robots)])
         low, high = self._sizes(layouts, world)
-        family = jax.random.randint(family_key, (batch,), 0, len(layouts), jnp.int32)
-        high = jnp.asarray(high, jnp.float32)[family]
-        size = low + (high - low) * jax.random.uniform(size_key, (batch,), jnp.float32)
-        angle = jax.random.uniform(angle_key, (batch,), jnp.float32, maxval=2 * jnp.pi)
-        cos, sin = jnp.cos(angle)[:, None], jnp.sin(angle)[:, None]
-        points = size[:, None, None] * jnp.asarray(layouts, jnp.float32)[family]
+        high = xp.asarray(high, angle.dtype)[family]
+        size = low + (high - low) * share
+        cos, sin = xp.cos(angle)[:, None], xp.sin(angle)[:, None]
+        points = size[:, None, None] * xp.asarray(layouts, angle.dtype)[family]
         x, y = points[..., 0], points[..., 1]
-        return jnp.stack([cos * x - sin * y, sin * x + cos * y], axis=-1)
+        return xp.stack([cos * x - sin * y, sin * x + cos * y], axis=-1)
 
     def prepare(self, world: WorldConfig) -> Start:
         """Checks that there is room for every family."""
@@ -110,3 +140,8 @@ def symmetric_layout(family: Family, robots: int) -> Float[np.ndarray, "robots 2
 def _polygon(corners: int) -> Float[np.ndarray, "corners 2"]:
     angle = 2 * np.pi * np.arange(corners) / corners
     return np.stack([np.cos(angle), np.sin(angle)], axis=1)
+
+
+def namespace(array: Any) -> Any:
+    """Returns NumPy or JAX's NumPy, whichever an array is of."""
+    return np if isinstance(array, np.ndarray) else jnp
