@@ -168,6 +168,19 @@ def starts_figure() -> Figure:
     return figure
 
 
+def hard_starts_figure() -> Figure:
+    """Draws the first configuration of sets of starts: of ten robots, and of sixteen."""
+    figure = new_page(5.85)
+    draw_head(figure, "Hard starts", "the first of each set: ten robots, and sixteen in their larger world")
+    panels = [(family, 10) for family in ("cluster", "corner", "wall", "walls", "tight-grid")]
+    for place, (family, robots) in enumerate([*panels, *((family, 16) for family in ("cluster", "corner", "wall"))]):
+        sizes = world.start_sets.set_world(robots)
+        title = family if robots == 10 else f"{family}, {robots} robots"
+        positions = world.start_set(family, robots, 1)[0].astype(float)
+        _world_panel(figure, place % 4, 2.9 if place < 4 else 0.2, positions, title, sizes)
+    return figure
+
+
 def bound_figure() -> Figure:
     """Draws the paths from a start to a pattern, for numbered robots and for interchangeable ones."""
     sizes = presets.preset("C").world
@@ -199,6 +212,7 @@ FIGURES = {
     "contact": contact_figure,
     "signals": signals_figure,
     "starts": starts_figure,
+    "hard-starts": hard_starts_figure,
     "bound": bound_figure,
 }
 

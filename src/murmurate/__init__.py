@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from murmurate.runs.experiment import ExperimentConfig
     from murmurate.runs.run import Run
     from murmurate.types import Trajectories
-    from murmurate.world import Configuration, Scheduler, Sensing, Signal, Start, World, WorldConfig
+    from murmurate.world import Configuration, Scheduler, Sensing, Signal, Start, World, WorldConfig, start_set
 
 __version__ = "0.1.0"
 
@@ -60,6 +60,7 @@ _NAMES = {
     "WorldConfig": "world",
     "check_validity": "discovery",
     "evaluate": "runs.evaluate",
+    "start_set": "world",
 }
 """The module of each public name."""
 
@@ -102,6 +103,7 @@ __all__ = [
     "policies",
     "pretrained",
     "runs",
+    "start_set",
     "world",
 ]
 

@@ -17,6 +17,7 @@ __all__ = [
     "ForkError",
     "InputError",
     "RunError",
+    "StartSetWarning",
     "UsageError",
     "check_all",
     "check_choice",
@@ -109,6 +110,10 @@ class ForkError(RuntimeError):
 
 class BeyondTrainingWarning(UserWarning):
     """Policies are executed where they were not trained: allowed, but they may do worse."""
+
+
+class StartSetWarning(UserWarning):
+    """A named set of starts is not on this machine what it is on others."""
 
 
 MAX_MAGNITUDE = 1e9

@@ -166,7 +166,7 @@ def test_an_experiment_is_a_name_or_a_toml_file(refused, tmp_path):
 def test_more_episodes_than_a_file_of_starts_has(refused, discovered, tmp_path):
     (tmp_path / "mine.csv").write_text(START)
     line = refused("evaluate", discovered, "--starts", "mine.csv", "--episodes", "2", files=1)
-    assert "--episodes = 2: must be at most the 1 starts of mine.csv" in line
+    assert "episodes = 2: must be at most the 1 starts of mine.csv" in line
 
 
 def test_a_file_of_starts_that_is_missing_or_no_text(refused, discovered, tmp_path):
@@ -175,6 +175,27 @@ def test_a_file_of_starts_that_is_missing_or_no_text(refused, discovered, tmp_pa
     assert "must be a readable CSV file (it is not text)" in refused(
         "evaluate", discovered, "--starts", "mine.csv", files=1
     )
+
+
+def test_a_name_of_starts_that_is_misspelled(refused, discovered):
+    line = refused("evaluate", discovered, "--starts", "clusters")
+    assert "starts = 'clusters': must be one of scattered, " in line
+    assert "or a CSV file; did you mean cluster?" in line
+
+
+def test_starts_that_need_more_robots(refused, discovered):
+    assert "robots = 3: must be at least 4 for the start rings" in refused("evaluate", discovered, "--starts", "rings")
+
+
+def test_sets_of_starts_that_there_are_not(refused, tmp_path):
+    assert "family = 'hard': must be one of random, cluster, corner, wall" in refused("starts", "hard")
+    assert "robots = 1: must be an integer" in refused("starts", "cluster", "--robots", "1")
+    assert "robots = 3: must be at least 4 for the start rings" in refused("starts", "rings", "--robots", "3")
+    assert "count = 0: must be an integer >= 1" in refused("starts", "cluster", "--count", "0")
+    assert "count = 100000000: must be at most" in refused("starts", "cluster", "--count", "100000000")
+    (tmp_path / "mine.csv").write_text("")
+    line = refused("starts", "cluster", "--count", "1", "--out", "mine.csv", files=1)
+    assert "mine.csv is there already: choose another --out" in line
 
 
 def test_another_run_is_not_overwritten(refused, discovered, tiny_toml, tmp_path):

@@ -184,7 +184,7 @@ def test_compare_writes_a_table_and_figures_and_goes_on(tmp_path, capsys):
         (["--methods", "orca"], ["method = 'orca': must be one of learned, random, centroid"]),
         (["--sensing", "radar"], ["sensing = 'radar': must be one of global, visible, chiral, noisy"]),
         (["--schedulers", "psync"], ["scheduler = 'psync': must be one of fsync"]),
-        (["--starts", "star"], ["start = 'star': must be one of random, polygon, line, grid, rings"]),
+        (["--starts", "star"], ["start = 'star': must be one of random, polygon, line, grid, rings, cluster, corner"]),
         (["--robots", "3,,4"], ["--robots = '3,,4': must be names or numbers, separated by commas"]),
         (["--robots", "1"], ["robots = 1: must be an integer >= 2"]),
         (["--robots", "-3"], ["--robots = '-3': must be whole numbers"]),

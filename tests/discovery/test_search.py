@@ -271,6 +271,23 @@ def test_a_symmetric_share_begins_exactly_symmetric_and_only_the_base():
     assert counts[1] == 0
 
 
+def test_a_hard_share_begins_crowded_or_at_walls_and_only_the_base():
+    problem = replace(PROBLEM, base=replace(BASE, hard_share=0.5, random_share=0.0))
+    discovery = Search(problem)
+    snapshot = discovery.begin()
+    base, auxiliary = (training_world(problem, index, discovery.world.start, snapshot.sigma) for index in range(2))
+    points = draw_starts(base.start, jax.random.key(1), 400, base.config)
+    assert (np.abs(points) <= base.config.bounds).all()
+    # Only lines along walls, of the start `hard`, have all robots at exactly one distance from a wall.
+    assert int((np.ptp(points, axis=1) == 0).any(axis=1).sum()) == pytest.approx(400 * 0.5 / 7, abs=20)
+    assert auxiliary.start.share == 0
+
+
+def test_a_hard_share_needs_room_for_hard_starts(tmp_path):
+    with pytest.raises(InputError, match="few enough to fit the cluster start"):
+        Search(crowd(tmp_path, random_share=0.0, hard_share=0.5))
+
+
 @pytest.mark.parametrize(
     "fields",
     [
@@ -280,6 +297,7 @@ def test_a_symmetric_share_begins_exactly_symmetric_and_only_the_base():
         {"random_share": 1.5},
         {"random_spread": 0.0},
         {"symmetric_share": -0.1},
+        {"hard_share": 1.1},
     ],
 )
 def test_no_such_stage(fields):

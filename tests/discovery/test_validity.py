@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from murmurate.discovery import Trajectories, bound_steps, check_validity
 from murmurate.errors import InputError
 from murmurate.world import Signal, UniformStart, World, WorldConfig, scaled_to
-from murmurate.world.starts import check_configurations
+from murmurate.world.start_files import check_configurations
 
 WORLD = WorldConfig(robots=6, half_width=35.0, half_height=35.0, scan_radius=30.0, safe_distance=5.0)
 FLAGS = ("contact_free", "inside", "mutually_visible", "gathered", "safe", "at_rest")

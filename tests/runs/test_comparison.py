@@ -6,6 +6,7 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 
@@ -16,6 +17,8 @@ from murmurate.runs.comparison import Comparison, Condition, ConditionJob, compa
 from murmurate.runs.execute import LocalProcesses
 from murmurate.runs.jobs import JobStatus
 from murmurate.runs.run import Run
+from murmurate.world import check_configurations
+from murmurate.world.start_sets import draw_set
 from tiny import tiny
 
 ROOT = Path(__file__).parents[2]
@@ -198,6 +201,23 @@ def test_symmetric_starts_are_cells_of_their_own(setting):
     across = first[:, 1] - (first[:, 0] + first[:, 2]) / 2
     assert np.linalg.norm(along, axis=1).min() > 0.1
     assert np.abs(across).max() < 1e-5
+
+
+def test_starts_of_sets_are_cells_of_their_own_whatever_the_seed(setting, monkeypatch):
+    monkeypatch.setattr(comparison, "MAX_PAIRS", 8 * 3**2)
+    for start in comparison.STARTS[5:]:
+        (condition,) = conditions(["circle"], ["visible"], ["fsync"], [3], [start], ["circle"])
+        problem = setting.problem(condition)
+        draws = [
+            comparison._draws(problem, problem.start, start, jax.random.key(seed), setting.episodes) for seed in (0, 1)
+        ]
+        first, second = (np.concatenate([draw(0, 8), draw(8, 8)]) for draw in draws)
+        if start == "hard":
+            assert (first != second).any()
+            check_configurations(first, problem.world, start)
+        else:
+            np.testing.assert_array_equal(first, draw_set(start, problem.world, 16))
+            np.testing.assert_array_equal(first, second)
 
 
 def test_a_damaged_file_is_refused(done, setting, runs, tmp_path):

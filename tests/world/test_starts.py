@@ -34,7 +34,7 @@ from murmurate.world import (
     scaled_to,
     starts,
 )
-from murmurate.world.starts import symmetric_layout
+from murmurate.world.symmetric_starts import symmetric_layout
 
 LAYOUTS = ("scattered", "distributed", "packed")
 BATCH = 32

@@ -32,11 +32,12 @@ def run(argv: Sequence[str]) -> int:
     parser.add_argument("--robots", metavar="N,N", default="4,8,12,16", help="swarm sizes (default: 4,8,12,16)")
     parser.add_argument("--sensing", metavar="A,B", default="visible", help="what robots perceive (default: visible)")
     parser.add_argument("--schedulers", metavar="A,B", default="fsync", help="when they move (default: fsync)")
-    parser.add_argument("--starts", metavar="A,B", default="random", help="random, polygon, line, grid, rings")
+    text = "random, polygon, line, grid, rings, hard, and the sets cluster, corner, wall, walls, tight-grid"
+    parser.add_argument("--starts", metavar="A,B", default="random", help=text)
     parser.add_argument("--objective", metavar="C1|C2", default="C2", help="of the package's weights (default: C2)")
     text = "starts for each condition (default: 1000)"
     parser.add_argument("--episodes", type=int, metavar="INT", default=1000, help=text)
-    text = "seed of starts, frames, noise and schedulers (default: 0)"
+    text = "seed of starts but those of sets, of frames, noise and schedulers (default: 0)"
     parser.add_argument("--seed", type=int, metavar="INT", default=0, help=text)
     parser.add_argument("--out", metavar="DIR", default="runs/comparison", help="where to write, or to go on")
     text = "put the table into this page as well, in place of the one there"

@@ -16,7 +16,16 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from murmurate import __version__, compilation_cache
-from murmurate.errors import MAX_LINE, BeyondTrainingWarning, InputError, RunError, UsageError, one_line, suggestion
+from murmurate.errors import (
+    MAX_LINE,
+    BeyondTrainingWarning,
+    InputError,
+    RunError,
+    StartSetWarning,
+    UsageError,
+    one_line,
+    suggestion,
+)
 from murmurate.interrupts import sigterm_as_interrupt
 
 __all__ = ["FAILED", "NOTHING_VALID", "STATUS", "TOO_FEW_VALID", "main"]
@@ -37,12 +46,13 @@ STATUS = (
 VERBS = {
     "discover": "train the policies of an experiment and show the pattern that they form",
     "sweep": "train many runs, on all cores, Ray or Slurm, and write one table of them",
-    "evaluate": "run a discovered cascade from fresh starts, or from a file of starts",
+    "evaluate": "run a discovered cascade from fresh starts, a set of starts or a file",
     "show": "draw the figures and the animation of a run",
     "catalogue": "sort what runs found into classes of patterns, and draw them on a plate",
     "optimum": "search for the best formation there is, or list the best known",
     "experiments": "list the experiments",
     "compare": "run learned policies and baselines from the same starts, with the same eyes and schedulers",
+    "starts": "write a named set of starts, the same on every machine, or list the sets",
     "table": "write the results of many runs as a Markdown table",
     "export": "write policies as an ONNX model, or trajectories as waypoints in metres",
     "reproduce": "train everything, and write a report of the paper's tables and figures beside ours",
@@ -114,6 +124,7 @@ def _run(arguments: list[str]) -> int:
     compilation_cache.configure()
     with warnings.catch_warnings():
         warnings.simplefilter("once", BeyondTrainingWarning)
+        warnings.simplefilter("once", StartSetWarning)
         warnings.showwarning = _warn
         return importlib.import_module(f"murmurate.cli.{verb}").run(arguments[1:])
 

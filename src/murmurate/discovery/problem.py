@@ -50,6 +50,8 @@ class StageConfig:
         random_spread: Each of the windows takes at least this share of the world's sides.
         symmetric_share: Share of all training episodes that begin exactly symmetric: as a polygon, line, grid or rings
             of random width and direction (base only).
+        hard_share: Share of all training episodes that begin at the start `hard`: crowded, at the walls, in a corner,
+            in a tight grid, exactly symmetric or anywhere (base only).
         margin: Robots are trained as if their radius and safe distance were larger by this share, so that patterns hold
             with room to spare.
         warm_start: Whether the policy begins with the weights of the one before, all but the spread of its actions
@@ -66,6 +68,7 @@ class StageConfig:
     random_share: float = 0.5
     random_spread: float = 0.05
     symmetric_share: float = 0.0
+    hard_share: float = 0.0
     margin: float = 0.0
     warm_start: bool = False
 
@@ -79,6 +82,7 @@ class StageConfig:
         check_number("margin", self.margin, 0, 10)
         check_number("random_share", self.random_share, 0, 1)
         check_number("symmetric_share", self.symmetric_share, 0, 1)
+        check_number("hard_share", self.hard_share, 0, 1)
         check_number("random_spread", self.random_spread, 0, 1, exclusive_low=True)
 
     @property

@@ -19,7 +19,7 @@ from murmurate.discovery.problem import Problem
 from murmurate.discovery.stage import Stage, draw_key, policy_name, repeat_to, training_world
 from murmurate.discovery.validity import check_validity
 from murmurate.learning import TrainState, check_divides, sharding, train_together
-from murmurate.world import JitteredStart, SymmetricStart, UniformStart, World, check_start, draw_starts
+from murmurate.world import HardStart, JitteredStart, SymmetricStart, UniformStart, World, check_start, draw_starts
 
 __all__ = ["Search", "Snapshot", "advance_together"]
 
@@ -69,6 +69,8 @@ class Search:
                 check_start(UniformStart(), part.world)
             if problem.base.symmetric_share:
                 check_start(SymmetricStart(), part.world)
+            if problem.base.hard_share:
+                check_start(HardStart(), part.world)
 
     @cached_property
     def part_worlds(self) -> tuple[World, ...]:

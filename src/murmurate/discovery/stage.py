@@ -19,6 +19,7 @@ from murmurate.discovery.problem import Problem
 from murmurate.learning import LEARNERS, Chunk, Learner, TrainState, init
 from murmurate.world import (
     ActionRepeat,
+    HardStart,
     JitteredStart,
     MixtureStart,
     ShortfallReward,
@@ -93,6 +94,8 @@ def _training_start(problem: Problem, index: int, start: Start, sigma: Float[Arr
     start = MixtureStart(first, UniformStart(stage.random_spread), random_share)
     if problem.base.symmetric_share:
         start = MixtureStart(start, SymmetricStart(), stage.symmetric_share if is_base else 0.0)
+    if problem.base.hard_share:
+        start = MixtureStart(start, HardStart(), stage.hard_share if is_base else 0.0)
     return start
 
 

@@ -18,7 +18,7 @@ from typing import Any, cast, get_args
 
 import jax
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, PRNGKeyArray
 
 from murmurate import prng
 from murmurate.analysis.optimum.best_known import best_known
@@ -52,20 +52,24 @@ from murmurate.world import (
     Family,
     FsyncScheduler,
     GlobalSensing,
+    HardStart,
     Scheduler,
     Sensing,
     SsyncScheduler,
+    Start,
     SymmetricStart,
     VisibleSensing,
     WorldConfig,
     draw_starts,
     scaled_to,
 )
+from murmurate.world.start_sets import draw_set
 
 __all__ = [
     "COMPARISON",
     "SCHEDULERS",
     "SENSINGS",
+    "STARTS",
     "Comparison",
     "Condition",
     "ConditionJob",
@@ -100,6 +104,12 @@ SCHEDULERS: dict[str, Scheduler] = {
 STRATEGIES: dict[str, tuple[Any, Any]] = {"sensings": (Sensing, SENSINGS), "schedulers": (Scheduler, SCHEDULERS)}
 RANDOM = "random"
 
+SETS = ("cluster", "corner", "wall", "walls", "tight-grid")
+"""Families of starts that are those of a named set; see `start_sets`. The others are drawn by the comparison's seed."""
+
+STARTS = (RANDOM, *get_args(Family), *SETS, "hard")
+"""Where robots begin, by name."""
+
 MAX_WORST = 3
 """Failures of each condition that are kept, to be drawn."""
 
@@ -125,7 +135,7 @@ class Condition:
         sensing: A name of `SENSINGS`.
         scheduler: A name of `SCHEDULERS`.
         robots: Swarm size.
-        start: random, or a family of exactly symmetric starts.
+        start: A name of `STARTS`: random, hard, a family of exactly symmetric starts or one of sets.
     """
 
     method: str
@@ -145,7 +155,8 @@ class Comparison:
     Attributes:
         base: The world, scaled to each swarm size, the objective and the rest rule.
         episodes: Starts of each condition; the same for every method.
-        seed: Seed of the starts, and of frames, noise and scheduler; no training ever began at these starts.
+        seed: Seed of the starts, but for those of sets, and of frames, noise and scheduler; no training ever began at
+            these starts.
     """
 
     base: ExperimentConfig
@@ -209,7 +220,7 @@ def conditions(
         sensings: Names of `SENSINGS`.
         schedulers: Names of `SCHEDULERS`.
         sizes: Swarm sizes.
-        starts: random, and families of symmetric starts; swarms too small for a family are left out of it.
+        starts: Names of `STARTS`; swarms too small for a family are left out of it.
         known: The methods that there are.
 
     Raises:
@@ -222,7 +233,7 @@ def conditions(
         ("method", [method for method in methods if ":" not in method], known),
         ("sensing", sensings, SENSINGS),
         ("scheduler", schedulers, SCHEDULERS),
-        ("start", starts, (RANDOM, *get_args(Family))),
+        ("start", starts, STARTS),
     )
     for field, names, allowed in choices:
         for name in names:
@@ -428,7 +439,7 @@ def _wrong_field(row: Any) -> str | None:
         value, low = row.get(name), 0 if name in counts else {"robots": 2}.get(name, 1)
         if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
             return name
-    for name, allowed in {"sensing": SENSINGS, "scheduler": SCHEDULERS, "start": (RANDOM, *get_args(Family))}.items():
+    for name, allowed in {"sensing": SENSINGS, "scheduler": SCHEDULERS, "start": STARTS}.items():
         if not isinstance(row.get(name), str) or row[name] not in allowed:
             return name
     if not isinstance(row.get("method"), str) or not 0 < len(row["method"]) <= 255:
@@ -468,7 +479,7 @@ def sorted_rows(folder: str | Path) -> list[dict[str, Any]]:
     Raises:
         RunError: They are missing or damaged.
     """
-    names = {name: index for index, name in enumerate((RANDOM, *get_args(Family), *SENSINGS, *SCHEDULERS))}
+    names = {name: index for index, name in enumerate((*STARTS, *SENSINGS, *SCHEDULERS))}
     baselines = {name: index for index, name in enumerate(Baseline.registered(), start=1)}
 
     def key(row: dict[str, Any]) -> tuple[Any, ...]:
@@ -581,16 +592,34 @@ def _rollouts(
     """Executes a method from all starts, as many at a time as memory holds; every method from the same."""
     cascade = build_cascade(problem, policies)
     size = min(max(MAX_PAIRS // problem.world.robots**2, 8), comparison.episodes)
-    drawn = cascade.world.start if start == RANDOM else SymmetricStart(cast(Any, start)).prepare(problem.world)
     key = jax.random.fold_in(jax.random.fold_in(prng.key(comparison.seed), _HELD_OUT), problem.world.robots)
     usual_steps = problem.usual_steps(len(policies), size)
-    for first in range(0, comparison.episodes, size):
-        starts = draw_starts(drawn, jax.random.fold_in(key, first), size, problem.world)
+    batches = range(0, comparison.episodes, size)
+    draw = _draws(problem, cascade.world.start, start, key, len(batches) * size)
+    for first in batches:
+        starts = draw(first, size)
         # Each batch of each seed has frames, noise and a scheduler of its own.
         seed = (comparison.seed * MAX_EPISODES + first) % 2**32
         on_chunk = progress.on_chunk(report, "episodes", comparison.episodes, usual_steps, first)
         batch = rollout(cascade, starts, seed, on_chunk)
         yield _first_episodes(batch, comparison.episodes - first)
+
+
+def _draws(
+    problem: ExperimentConfig, fresh: Start, start: str, key: PRNGKeyArray, count: int
+) -> Callable[[int, int], Float[np.ndarray, "episodes robots 2"]]:
+    """Returns what gives the starts from a number on, of so many in all."""
+    world = problem.world
+    if start in SETS:
+        points = draw_set(start, world, count)
+        return lambda first, size: points[first : first + size]
+    if start == RANDOM:
+        drawn = fresh
+    elif start == "hard":
+        drawn = HardStart().prepare(world)
+    else:
+        drawn = SymmetricStart(cast(Any, start)).prepare(world)
+    return lambda first, size: draw_starts(drawn, jax.random.fold_in(key, first), size, world)
 
 
 def _first_episodes(batch: Trajectories, count: int) -> Trajectories:

@@ -19,9 +19,10 @@ from murmurate.errors import check_function, check_type
 from murmurate.runs import progress
 from murmurate.runs.experiment import ExperimentConfig
 from murmurate.runs.folder import RunFolder, describe_starts, is_fresh
+from murmurate.runs.given_starts import given_starts
 from murmurate.runs.presets import command
-from murmurate.runs.run import Run
-from murmurate.world import Configuration, Objective
+from murmurate.runs.run import Run, check_draw
+from murmurate.world import Configuration, Objective, Start
 
 __all__ = ["EPISODES", "SEED", "Evaluation", "evaluate", "evaluated", "is_below", "wilson"]
 
@@ -145,40 +146,43 @@ class Evaluation:
 
 def evaluate(
     run: Run,
-    episodes: int = EPISODES,
+    episodes: int | None = None,
     seed: int = SEED,
-    starts: Float[np.ndarray, "episodes robots 2"] | None = None,
-    file: str | None = None,
+    starts: str | Path | Start | Float[np.ndarray, "episodes robots 2"] | None = None,
     on_progress: Callable[..., None] | None = None,
 ) -> Evaluation:
     """Executes a run's cascade and checks every episode by its recorded positions.
 
     Args:
         run: The run.
-        episodes: Number of fresh starts to draw.
+        episodes: Number of starts; by default 200 that are drawn, and all that are given.
         seed: Seed of the starts, of the robots' frames, of noise and of the scheduler.
-        starts: Configurations to begin at instead of fresh ones, world units.
-        file: Name of the file that those are from, for the record.
+        starts: Where to begin instead of at fresh starts of the experiment: a named set ("cluster"; see
+            `murmurate.start_set`), another registered start ("hard"), a CSV file of starts, a start, or configurations,
+            world units.
         on_progress: Called as `on_progress(work, done, total, **values)` before and after each part of the work, and
             every few seconds while episodes are executed.
 
     Raises:
-        InputError: A start has another shape, is in contact or lies outside the world.
+        InputError: There are no such starts, or one has another shape, is in contact or lies outside the world.
     """
     check_type("run", run, Run, "a run, such as murmurate.load(folder)")
     check_function("on_progress", on_progress, "on_progress(work, done, total, **values)")
-    report, count = on_progress or (lambda *_, **__: None), episodes if starts is None else len(starts)
+    if starts is None:
+        begin: Any = EPISODES if episodes is None else episodes
+        source, count = {"kind": "fresh"}, begin
+    else:
+        check_draw(EPISODES if episodes is None else episodes, seed)
+        given = given_starts(starts, run.experiment.world, seed, EPISODES, episodes)
+        begin, source, count = given.points, given.source, len(given.points)
+    report = on_progress or (lambda *_, **__: None)
     report("episodes executed", 0, count)
     usual_steps = run.experiment.usual_steps(len(run.cascade.policies), count)
     on_chunk = progress.on_chunk(report, "episodes executed", count, usual_steps)
-    trajectories = run.rollout(episodes if starts is None else starts, seed, on_chunk)
+    trajectories = run.rollout(begin, seed, on_chunk)
     report("episodes executed", count, count)
     experiment, first, final = run.experiment, trajectories.positions[:, 0], trajectories.final
     bound = [bound_steps(*ends, experiment.world.max_speed) for ends in zip(first, final, strict=True)]
-    if starts is None:
-        source = {"kind": "fresh"}
-    else:
-        source = {"kind": "given"} if file is None else {"kind": "file", "name": file}
     validity = check_validity(trajectories, experiment.world, experiment.thresholds)
     report("episodes checked", count, count, valid=float(validity.valid.mean()))
     return Evaluation(

@@ -16,7 +16,7 @@ from murmurate.errors import InputError, RunError, check_choice, check_number, c
 from murmurate.registry import Importer, source_folder
 from murmurate.runs import config_io, files
 from murmurate.world import OBJECTIVES, FileStart, scaled_to
-from murmurate.world.starts import MAX_STARTS_BYTES
+from murmurate.world.start_files import MAX_STARTS_BYTES
 
 __all__ = [
     "EXPERIMENT",

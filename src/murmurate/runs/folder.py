@@ -650,11 +650,13 @@ def describe_starts(summary: Mapping[str, Any]) -> str:
     """Returns in words where the episodes of an evaluation began.
 
     Args:
-        summary: What `RunFolder.evaluation` returns. Its `starts` has the field `kind`: fresh (drawn by the seed), file
-            (with the file's `name`) or given (in Python).
+        summary: What `RunFolder.evaluation` returns. Its `starts` has the field `kind`: fresh (of the experiment, drawn
+            by the seed), drawn (of the start `name`), set or file (with its `name`) or given (in Python).
     """
     starts = summary["starts"]
-    return f"starts of {starts['name']}" if starts["kind"] == "file" else f"{starts['kind']} starts"
+    if starts["kind"] in ("set", "file"):
+        return f"starts of {starts['name']}"
+    return f"{starts.get('name', starts['kind'])} starts"
 
 
 def _policy_files(count: int) -> list[str]:
@@ -748,10 +750,13 @@ def _are_numbers(value: Any) -> bool:
 def _are_starts(value: Any) -> bool:
     return (
         isinstance(value, dict)
-        and value.get("kind") in ("fresh", "file", "given")
+        and value.get("kind") in ("fresh", "given", *_NAMED_STARTS)
         and isinstance(value.get("name", ""), str)
-        and ("name" in value) == (value["kind"] == "file")
+        and ("name" in value) == (value["kind"] in _NAMED_STARTS)
     )
+
+
+_NAMED_STARTS = ("drawn", "set", "file")
 
 
 _EVALUATION_FIELDS: Mapping[str, tuple[Callable[[Any], bool], str]] = {

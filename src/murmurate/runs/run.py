@@ -18,15 +18,16 @@ from murmurate.errors import BeyondTrainingWarning, InputError, RunError, check_
 from murmurate.runs import files
 from murmurate.runs.experiment import EXPERIMENT, ExperimentConfig, check_seed
 from murmurate.runs.folder import MAX_EPISODES, METRICS, RunFolder
-from murmurate.world import World, check_configurations, check_pairs, draw_starts
+from murmurate.runs.given_starts import HELD_OUT, given_starts, starts_key
+from murmurate.world import Start, World, check_configurations, check_pairs, draw_starts
 
 __all__ = ["MAX_EPISODES", "Run", "check_draw", "rollout_seed"]
 
 PICTURE_EPISODES = 20
 """Episodes of which a picture shows the typical one."""
 
-# Training folds a policy's place in the list into its seed; no list is so long that it ever draws the same numbers.
-_HELD_OUT = 2**31
+NAMED_EPISODES = 100
+"""Episodes of a rollout from starts that are given by a name."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,9 +137,7 @@ class Run:
         """
         check_draw(episodes, key)
         check_pairs("episodes", int(episodes), self.experiment.world.robots)
-        if isinstance(key, int | np.integer):
-            key = jax.random.fold_in(prng.key(int(key)), _HELD_OUT)
-        return draw_starts(self.world.start, key, int(episodes), self.world.config)
+        return draw_starts(self.world.start, starts_key(key), int(episodes), self.world.config)
 
     @prng.reproducible()
     def rollout(
@@ -150,8 +149,9 @@ class Run:
         """Executes the cascade.
 
         Args:
-            starts: A number of fresh starts to draw, or configurations `(episodes, robots, 2)`, or one `(robots, 2)`,
-                world units.
+            starts: A number of fresh starts to draw; or configurations `(episodes, robots, 2)`, or one `(robots, 2)`,
+                world units; or a CSV file of starts; or, for 100 starts, a named set ("cluster"; see
+                `murmurate.start_set`), another registered start ("hard") or a start.
             key: A seed or a key of `jax.random`: for fresh starts, the robots' frames, noise and the scheduler.
             on_chunk: Called as `on_chunk(steps, max_steps, ended)` after every chunk of steps; see `Cascade.rollout`.
 
@@ -159,9 +159,12 @@ class Run:
             The episodes, until the last one was at rest, terminated or cut off.
 
         Raises:
-            InputError: A configuration has another shape, is in contact or lies outside the world; or the key is no
-                seed.
+            InputError: There are no such starts, or a configuration has another shape, is in contact or lies outside
+                the world; or the key is no seed.
         """
+        if isinstance(starts, str | Path | Start):
+            check_draw(NAMED_EPISODES, key)
+            starts = given_starts(starts, self.experiment.world, key, NAMED_EPISODES).points
         if isinstance(starts, int | np.integer) and not isinstance(starts, bool):
             return rollout(self.cascade, self.starts(int(starts), key), rollout_seed(key), on_chunk)
         shape = f"of shape (episodes, {self.experiment.world.robots}, 2)"
@@ -214,4 +217,4 @@ def rollout_seed(key: int | PRNGKeyArray) -> int:
     if isinstance(key, int | np.integer):
         return int(key)
     # Other numbers than those of the starts, which are drawn with the key itself.
-    return int(jax.random.bits(jax.random.fold_in(key, _HELD_OUT), (), np.uint32))
+    return int(jax.random.bits(jax.random.fold_in(key, HELD_OUT), (), np.uint32))

@@ -13,6 +13,7 @@ from murmurate.world.env import (
     World,
     Wrapper,
 )
+from murmurate.world.hard_starts import ClusterStart, CornerStart, HardStart, TightGridStart, WallsStart, WallStart
 from murmurate.world.scheduling import (
     Activation,
     AsyncScheduler,
@@ -24,26 +25,23 @@ from murmurate.world.scheduling import (
 from murmurate.world.sensing import Frames, GlobalSensing, ScanSensing, Sensing, VisibleSensing
 from murmurate.world.signals import OBJECTIVES, Configuration, Objective, Signal, objective_signals
 from murmurate.world.smooth import Centered, Compact, Exposed, SmoothSafety, SmoothVisible
+from murmurate.world.start_files import check_configurations, checked_starts, read_named_starts, read_starts
+from murmurate.world.start_sets import start_set
 from murmurate.world.starts import (
     DistributedStart,
-    Family,
     FileStart,
     JitteredStart,
     MixtureStart,
     PackedStart,
     ScatteredStart,
     Start,
-    SymmetricStart,
     UniformStart,
-    check_configurations,
     check_start,
-    checked_starts,
     draw_starts,
     episodes_at_once,
-    read_named_starts,
-    read_starts,
     redraw_overlaps,
 )
+from murmurate.world.symmetric_starts import Family, SymmetricStart
 
 __all__ = [
     "MAX_ROBOTS",
@@ -53,8 +51,10 @@ __all__ = [
     "AsyncScheduler",
     "Centered",
     "Clock",
+    "ClusterStart",
     "Compact",
     "Configuration",
+    "CornerStart",
     "DistributedStart",
     "Exposed",
     "Family",
@@ -62,6 +62,7 @@ __all__ = [
     "Frames",
     "FsyncScheduler",
     "GlobalSensing",
+    "HardStart",
     "JitteredStart",
     "LocalObservation",
     "MixtureStart",
@@ -83,10 +84,13 @@ __all__ = [
     "Start",
     "State",
     "SymmetricStart",
+    "TightGridStart",
     "Transition",
     "UniformStart",
     "View",
     "VisibleSensing",
+    "WallStart",
+    "WallsStart",
     "World",
     "WorldConfig",
     "Wrapper",
@@ -102,5 +106,6 @@ __all__ = [
     "read_starts",
     "redraw_overlaps",
     "scaled_to",
+    "start_set",
     "with_array_leaves",
 ]

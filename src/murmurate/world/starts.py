@@ -1,4 +1,4 @@
-"""Distributions of initial configurations: the paper's layouts, random and symmetric ones, files, and mixtures of them.
+"""Distributions of initial configurations: the paper's layouts, random ones, files, and mixtures of starts.
 
 A start is never in contact and never outside the world. Staying inside is exact: each coordinate's uniform noise is
 drawn from the part of its range that lies inside, which is what redrawing until it does would give. Overlaps are
@@ -7,15 +7,12 @@ redrawn: a robot that touches a robot of lower number is drawn again, until none
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 import operator
 from abc import abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
-from typing import Any, ClassVar, Literal, get_args
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -23,15 +20,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from murmurate import prng, untrusted
-from murmurate.errors import MAX_INTEGER, InputError, check_choice, check_number, check_path, check_type
+from murmurate import prng
+from murmurate.errors import MAX_INTEGER, InputError, check_number, check_type
 from murmurate.geometry import _batch_last
 from murmurate.registry import Strategy
 from murmurate.world.config import MAX_PAIRS, WorldConfig, check_world, with_array_leaves
+from murmurate.world.start_files import check_configurations, read_named_starts
 
 __all__ = [
     "DistributedStart",
-    "Family",
     "FileStart",
     "JitteredStart",
     "LayoutStart",
@@ -39,16 +36,15 @@ __all__ = [
     "PackedStart",
     "ScatteredStart",
     "Start",
-    "SymmetricStart",
     "UniformStart",
-    "check_configurations",
+    "block",
+    "bounds_of",
     "check_start",
-    "checked_starts",
+    "does_not_fit",
     "draw_starts",
-    "read_named_starts",
-    "read_starts",
+    "episodes_at_once",
     "redraw_overlaps",
-    "symmetric_layout",
+    "redraw_overlaps_batch_last",
 ]
 
 MAX_REDRAWS = 10_000
@@ -65,9 +61,6 @@ BATCH_PAIRS = 1 << 13
 
 BATCH_EPISODES = 64
 """Episodes that are drawn or executed at once, at most."""
-
-MAX_STARTS_BYTES = 1 << 26
-"""Size of a file of starts, at most."""
 
 TRIALS = 16
 """Configurations drawn to check a start."""
@@ -125,14 +118,14 @@ class JitteredStart(Start):
         choose, draw = jax.random.split(key)
         chosen = self.points[jax.random.randint(choose, (batch,), 0, self.points.shape[0], jnp.int32)]
         center = jnp.moveaxis(chosen, 0, -1)
-        bounds, noise = _bounds(world), self.noise * world.radius
+        bounds, noise = bounds_of(world), self.noise * world.radius
         low = jnp.maximum(center - noise, -bounds)
         high = jnp.minimum(center + noise, bounds)
 
         def propose(key: PRNGKeyArray) -> Float[Array, "robots 2 batch"]:
             return low + (high - low) * jax.random.uniform(key, center.shape, jnp.float32)
 
-        return jnp.moveaxis(_redraw_overlaps_batch_last(draw, propose, world.radius), -1, 0)
+        return jnp.moveaxis(redraw_overlaps_batch_last(draw, propose, world.radius), -1, 0)
 
 
 class LayoutStart(Start):
@@ -162,7 +155,7 @@ class LayoutStart(Start):
     def _fitting(self, points: np.ndarray, world: WorldConfig) -> Float[np.ndarray, "1 robots 2"]:
         outside = (np.abs(points.astype(np.float32)) > world.bounds).any()
         if outside or (_batch_last.clearances(points, world.radius) <= 0).any():
-            raise _does_not_fit(world, f"the {self.name} start")
+            raise does_not_fit(world, f"the {self.name} start")
         return points[None]
 
 
@@ -198,7 +191,7 @@ class DistributedStart(LayoutStart):
     def layouts(self, world: WorldConfig) -> Float[np.ndarray, "1 robots 2"]:
         """Returns the two grids."""
         first, spacing = (world.robots + 1) // 2, self.spacing * world.radius
-        points = _block(first, math.ceil(math.sqrt(first)), spacing) + spacing / 2
+        points = block(first, math.ceil(math.sqrt(first)), spacing) + spacing / 2
         corner = np.array([world.half_width, world.half_height])
         return self._fitting(np.concatenate([points - corner, corner - points[: world.robots - first]]), world)
 
@@ -222,7 +215,7 @@ class PackedStart(LayoutStart):
 
     def layouts(self, world: WorldConfig) -> Float[np.ndarray, "1 robots 2"]:
         """Returns the lines."""
-        points = _block(world.robots, math.ceil(world.robots / self.lines), self.spacing * world.radius)
+        points = block(world.robots, math.ceil(world.robots / self.lines), self.spacing * world.radius)
         points = points - (points.max(axis=0) + points.min(axis=0)) / 2
         return self._fitting(points - np.array([0.0, world.half_height / 2]), world)
 
@@ -275,7 +268,7 @@ class UniformStart(Start):
         Shares are uniform in their logarithm: tight crowds are as common as loose ones. No window is so small that the
         discs around N - 1 centres, which the last one must avoid, could fill it.
         """
-        robots, bounds = world.robots, _bounds(world)
+        robots, bounds = world.robots, bounds_of(world)
         size_key, place_key, divide, draw = jax.random.split(key, 4)
         room = world.radius * jnp.sqrt(jnp.pi * (robots - 1) / (world.half_width * world.half_height))
         least = jnp.minimum(jnp.maximum(self.min_window, room), 1.0)
@@ -290,68 +283,7 @@ class UniformStart(Start):
             in_first = (jax.random.uniform(window, (robots, batch), jnp.float32) < first)[:, None]
             return jnp.where(in_first, center[0] + bounds * share[0] * unit, center[1] + bounds * share[1] * unit)
 
-        return jnp.moveaxis(_redraw_overlaps_batch_last(draw, propose, world.radius), -1, 0)
-
-
-Family = Literal["polygon", "line", "grid", "rings"]
-
-MIN_SPACING, MAX_EXTENT = 1.5, 0.8
-"""Symmetric neighbours begin at least so many diameters apart, and no robot farther out than this share of the way to
-the wall."""
-
-
-@Start.register("symmetric")
-class SymmetricStart(Start):
-    """Exactly symmetric configurations around the origin, each of a random width and direction.
-
-    They are the hardest for robots that are all alike: a deterministic policy that depends only on what is seen keeps
-    every symmetry that all robots share. Rounding, noise, a scheduler that moves some robots and not others, or frames
-    without a common handedness break it.
-
-    Attributes:
-        family: polygon (a regular one), line (evenly spaced), grid (as square as it can be, full rows but for the last,
-            which is centred), rings (two regular polygons, one inside the other, and one robot in the middle where the
-            number is odd), or any of them with equal chances.
-    """
-
-    family: Literal["any", "polygon", "line", "grid", "rings"] = eqx.field(default="any", static=True)
-
-    def __check_init__(self) -> None:
-        check_choice("family", self.family, ("any", *get_args(Family)))
-
-    def sample(self, key: PRNGKeyArray, batch: int, world: WorldConfig) -> Float[Array, "batch robots 2"]:
-        """Draws widths between the least without contact and the greatest that stays off the walls, and directions."""
-        family_key, size_key, angle_key = jax.random.split(key, 3)
-        layouts = np.stack([symmetric_layout(family, world.robots) for family in self._families(world.robots)])
-        low, high = self._sizes(layouts, world)
-        family = jax.random.randint(family_key, (batch,), 0, len(layouts), jnp.int32)
-        high = jnp.asarray(high, jnp.float32)[family]
-        size = low + (high - low) * jax.random.uniform(size_key, (batch,), jnp.float32)
-        angle = jax.random.uniform(angle_key, (batch,), jnp.float32, maxval=2 * jnp.pi)
-        cos, sin = jnp.cos(angle)[:, None], jnp.sin(angle)[:, None]
-        points = size[:, None, None] * jnp.asarray(layouts, jnp.float32)[family]
-        x, y = points[..., 0], points[..., 1]
-        return jnp.stack([cos * x - sin * y, sin * x + cos * y], axis=-1)
-
-    def prepare(self, world: WorldConfig) -> Start:
-        """Checks that there is room for every family."""
-        for family in self._families(world.robots):
-            low, high = self._sizes(symmetric_layout(family, world.robots)[None], world)
-            if low > high[0]:
-                raise _does_not_fit(world, f"the start {family}")
-        return self
-
-    def _families(self, robots: int) -> tuple[Family, ...]:
-        if self.family != "any":
-            return (self.family,)
-        return tuple(family for family in get_args(Family) if family != "rings" or robots >= 4)
-
-    def _sizes(self, layouts: np.ndarray, world: WorldConfig) -> tuple[Any, Any]:
-        """Returns the least distance of nearest neighbours, and the greatest for each layout."""
-        extent = np.linalg.norm(layouts, axis=2).max(axis=1)
-        minimum = jnp.minimum if isinstance(world.half_width, jax.Array) else min
-        half_side = minimum(world.half_width, world.half_height)
-        return MIN_SPACING * 2 * world.radius, MAX_EXTENT * half_side / extent
+        return jnp.moveaxis(redraw_overlaps_batch_last(draw, propose, world.radius), -1, 0)
 
 
 @Start.register("mixture")
@@ -400,12 +332,14 @@ def redraw_overlaps(
     def propose_batch_last(key: PRNGKeyArray) -> Float[Array, "robots 2 batch"]:
         return jnp.moveaxis(propose(key), 0, -1)
 
-    return jnp.moveaxis(_redraw_overlaps_batch_last(key, propose_batch_last, radius), -1, 0)
+    return jnp.moveaxis(redraw_overlaps_batch_last(key, propose_batch_last, radius), -1, 0)
 
 
-def _redraw_overlaps_batch_last(
+def redraw_overlaps_batch_last(
     key: PRNGKeyArray, propose: Callable[[PRNGKeyArray], Any], radius: Any
 ) -> Float[Array, "robots 2 batch"]:
+    """Computes `redraw_overlaps` with the batch last."""
+
     def pending(carry: tuple[Any, Any, Any, Any]) -> Any:
         _, _, overlapping, turn = carry
         return jnp.any(overlapping) & (turn < turns)
@@ -506,11 +440,11 @@ def check_start(start: Start, world: WorldConfig) -> Start:
         if (np.abs(points) > world.bounds).any():
             raise InputError("start", start.name, f"inside |x| <= {world.half_width:g}, |y| <= {world.half_height:g}")
         if (_batch_last.clearances(np.moveaxis(points, 0, -1), world.radius) <= 0).any():
-            raise _does_not_fit(world, f"the {start.name} start without overlap")
+            raise does_not_fit(world, f"the {start.name} start without overlap")
     return prepared
 
 
-def _does_not_fit(world: WorldConfig, what: str) -> InputError:
+def does_not_fit(world: WorldConfig, what: str) -> InputError:
     """Returns the error of a start that has no room; any of the sizes may be the one that is not as it was meant."""
     return InputError(
         "world.robots",
@@ -529,162 +463,12 @@ def _surely_fits(start: Start, world: WorldConfig) -> bool:
     return type(start) is UniformStart and discs < SPARSE * 4 * world.half_width * world.half_height
 
 
-def symmetric_layout(family: Family, robots: int) -> Float[np.ndarray, "robots 2"]:
-    """Places robots symmetrically, the middle at the origin and nearest neighbours 1 apart.
-
-    Args:
-        family: polygon, line, grid or rings; see `SymmetricStart`.
-        robots: Number of robots.
-
-    Raises:
-        InputError: There is no such family, or too few robots for it.
-    """
-    check_choice("family", family, get_args(Family))
-    if robots < 2 or (family == "rings" and robots < 4):
-        raise InputError("robots", robots, f"at least {4 if family == 'rings' else 2} for the start {family}")
-    if family == "line":
-        points = np.stack([np.arange(robots, dtype=float), np.zeros(robots)], axis=1)
-    elif family == "grid":
-        across = math.ceil(math.sqrt(robots))
-        rows = [min(across, robots - first) for first in range(0, robots, across)]
-        points = np.array([[i - (n - 1) / 2, row] for row, n in enumerate(rows) for i in range(n)])
-    elif family == "rings":
-        inner = _polygon(robots // 2)
-        points = np.concatenate([inner, 2 * inner, np.zeros((robots % 2, 2))])
-    else:
-        points = _polygon(robots)
-    points = points - (points.max(axis=0) + points.min(axis=0)) / 2 if family in ("line", "grid") else points
-    apart = np.linalg.norm(points[:, None] - points[None], axis=2)
-    return points / apart[~np.eye(robots, dtype=bool)].min()
-
-
-def _polygon(corners: int) -> Float[np.ndarray, "corners 2"]:
-    angle = 2 * np.pi * np.arange(corners) / corners
-    return np.stack([np.cos(angle), np.sin(angle)], axis=1)
-
-
-def _block(count: int, columns: int, spacing: float) -> np.ndarray:
+def block(count: int, columns: int, spacing: float) -> Float[np.ndarray, "count 2"]:
+    """Returns the points of a square grid, row by row from the origin on."""
     index = np.arange(count)
     return spacing * np.stack([index % columns, index // columns], axis=1).astype(float)
 
 
-def _bounds(world: WorldConfig) -> Float[Array, "2 1"]:
+def bounds_of(world: WorldConfig) -> Float[Array, "2 1"]:
+    """Returns the world's half-sides as an array, under a jit as well."""
     return jnp.stack([jnp.asarray(world.half_width, jnp.float32), jnp.asarray(world.half_height, jnp.float32)])[:, None]
-
-
-def read_starts(path: str | Path, robots: int) -> Float[np.ndarray, "starts robots 2"]:
-    """Reads a CSV file of starts: the header `start,x,y`, then one row for each robot of each start.
-
-    Args:
-        path: The file.
-        robots: How many robots each start must have.
-
-    Returns:
-        The starts in the order of their first rows.
-
-    Raises:
-        InputError: See `read_named_starts`.
-    """
-    return np.array(list(read_named_starts(path, robots).values()))
-
-
-def read_named_starts(path: str | Path, robots: int) -> dict[str, Float[np.ndarray, "robots 2"]]:
-    """Reads a CSV file of starts as `read_starts` does, by what its column `start` calls them.
-
-    Raises:
-        InputError: A column is missing or there twice, a row has too many cells, a value is no finite number, or a
-            start has another number of robots.
-    """
-    check_path("path", path)
-    check_number("robots", robots, 1, integer=True)
-    source = str(path)
-    try:
-        # Spreadsheets begin files with a byte-order mark.
-        text = untrusted.read(path, MAX_STARTS_BYTES, follow=True).decode("utf-8-sig")
-        reader = csv.DictReader(io.StringIO(text, newline=""))
-        header = list(reader.fieldnames or ())
-        if {"start", "x", "y"} - set(header):
-            raise InputError(source, "another header", "a table with the header start,x,y")
-        twice = [name for name in ("start", "x", "y") if header.count(name) > 1]
-        if twice:
-            where = f"{source} line {reader.line_num}: header"
-            raise InputError(where, ",".join(header), f"without a second column {twice[0]}")
-        starts: dict[str, list[tuple[float, float]]] = {}
-        for row in reader:
-            extra: Any = row.pop(None, None)  # type: ignore[call-overload]
-            if extra:
-                # Numbers with decimal commas make such rows: their halves would be read as other numbers.
-                allowed = f"of {len(header)} cells, as the header is; decimals are written with a point"
-                raise InputError(f"{source} line {reader.line_num}: row", ",".join([*row.values(), *extra]), allowed)
-            point = (_coordinate(source, reader.line_num, row, "x"), _coordinate(source, reader.line_num, row, "y"))
-            starts.setdefault(str(row["start"]), []).append(point)
-    except (OSError, ValueError, csv.Error) as error:
-        if isinstance(error, InputError):
-            raise
-        reason = getattr(error, "strerror", None) or "it is not text"
-        raise InputError("starts", source, f"a readable CSV file ({reason})") from None
-    if not starts:
-        raise InputError(source, "no rows", "at least one start")
-    for name, points in starts.items():
-        if len(points) != robots:
-            raise InputError(f"{source}: start {name}", f"{len(points)} robots", f"{robots} robots")
-    return {name: np.array(points) for name, points in starts.items()}
-
-
-def _coordinate(source: str, line: int, row: dict[str, str | None], column: str) -> float:
-    text = row[column]
-    try:
-        value = float(text or "")
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise InputError(f"{source} line {line}: {column}", text, "a finite number")
-    return value
-
-
-def checked_starts(field: str, points: Any, robots: int) -> Any:
-    """Returns configurations as an array, after checking that it is one of numbers of the right shape.
-
-    Args:
-        field: What they are called in an error.
-        points: The configurations.
-        robots: Number of robots.
-
-    Raises:
-        InputError: It is none.
-    """
-    allowed = f"finite numbers of shape (episodes, {robots}, 2)"
-    try:
-        array = np.asarray(points, float)
-    except (TypeError, ValueError):
-        raise InputError(field, points, allowed) from None
-    if array.ndim != 3 or array.shape[1:] != (robots, 2) or not len(array):
-        raise InputError(field, f"an array {array.shape}", allowed)
-    return array
-
-
-def check_configurations(
-    points: Float[np.ndarray, "starts robots 2"], world: WorldConfig, source: str, names: Sequence[str] | None = None
-) -> None:
-    """Checks that no given configuration is in contact or outside the world.
-
-    Args:
-        points: The configurations, world units.
-        world: Sizes of the world and its robots.
-        source: Where they are from, for error messages.
-        names: What their source calls them; by default their numbers, from 0 on.
-
-    Raises:
-        InputError: One is; the message names which.
-    """
-    check_world(world)
-    points = checked_starts(source, points, world.robots)
-    # Runs compute with float32, so the rounded positions are what must be free of contact.
-    with np.errstate(over="ignore"):
-        points = points.astype(np.float32).astype(float)
-    for name, configuration in zip(names or range(len(points)), points, strict=True):
-        if not (np.abs(configuration) <= world.bounds).all():
-            allowed = f"inside |x| <= {world.half_width:g}, |y| <= {world.half_height:g}"
-            raise InputError(f"{source}: start {name}", "a robot outside", allowed)
-        if (_batch_last.clearances(configuration, world.radius) <= 0).any():
-            raise InputError(f"{source}: start {name}", "overlapping robots", f"more than {2 * world.radius:g} apart")
