@@ -259,6 +259,42 @@ def test_a_training_begins_with_the_policies_of_a_run(finished, tmp_path):
     assert not (folder / "checkpoint").exists()
 
 
+def test_a_run_is_refined_by_gradients(finished, tmp_path):
+    """With the weights that it begins with where the rate is 0, resumed to the same weights where it is not."""
+    initial = Run.open(finished)
+    numbers = {"updates": 4, "worlds": 4, "steps": 3, "minibatches": 2, "epochs": 1}
+    numbers["weights"] = {"smooth_safety": 0.0, "smooth_visible": 0.0, "exposed": 0.0}
+    numbers |= {"policy_rate_end": 0.01}
+    stage = {"learner": "gradients", "gradients": numbers}
+    one = {"min_policies": 1, "max_policies": 1}
+    config = tiny(seed=1, base=stage, discovery=one)
+    run = train.discover(config, tmp_path / "unbroken", initial=initial)
+    rows = RunFolder(run.folder).metrics()
+    assert [row["update"] for row in rows] == [1, 2, 3, 4]
+    assert all(
+        row["gradient"] > 0 and row["signals"].keys() == {"nclose", "safety", "neighbors", "visible"} for row in rows
+    )
+    assert weights(run) != weights(initial)
+    with pytest.raises(StoppedError):
+        train.discover(config, tmp_path / "run", on_progress=stop_after(2), initial=initial)
+    resumed = train.discover(config, tmp_path / "run", resume=True, initial=initial)
+    assert weights(resumed) == weights(run)
+    still = {"policy_rate": 0.0, "policy_rate_end": 0.0}
+    frozen = tiny(seed=1, base=stage | {"gradients": numbers | still}, discovery=one)
+    assert weights(train.discover(frozen, tmp_path / "frozen", initial=initial)) == weights(initial)
+
+
+def weights(run):
+    return run.cascade.policies[0].body.layers[0].weight.tolist()
+
+
+def test_signals_without_a_gradient_do_not_refine(tmp_path):
+    for name, reason in (("visible", "it counts"), ("safety", "not finite"), ("blue", "for a signal")):
+        with pytest.raises(InputError, match=rf"base\.gradients\.weights\.{name}.*{reason}"):
+            train.discover(tiny(base={"learner": "gradients", "gradients": {"weights": {name: 1.0}}}), tmp_path / "run")
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_training_that_began_with_a_run_is_resumed_without_it(finished, tmp_path):
     source, folder, unbroken = tmp_path / "source", tmp_path / "run", tmp_path / "unbroken"
     initial, config = Run.open(shutil.copytree(finished, source)), tiny(seed=1)

@@ -149,8 +149,9 @@ def check_parts(problem: Problem) -> None:
         _check_policy(problem, env, positions)
 
 
-SHRUNK = (1.0, 0.5, 0.25, 0.12)
-"""Configurations are shrunk to these shares to find out whether signals have gradients: some have only in a crowd."""
+STRETCHES = ((1.0, 1.0), (0.3, 0.3), (0.1, 0.1), (10.0, 10.0), (1.0, 0.02))
+"""Starts are stretched so along the axes to find out whether signals have gradients: some have only in a crowd, on a
+line or far apart."""
 
 
 def _check_gradients(problem: Problem, index: int, world: World) -> None:
@@ -159,7 +160,7 @@ def _check_gradients(problem: Problem, index: int, world: World) -> None:
     A signal that counts changes from one configuration to the next, but its gradient is 0 wherever it is defined.
     """
     drawn = jnp.moveaxis(jnp.asarray(draw_starts(world.start, prng.key(problem.seed), 4, world.config)), 0, -1)
-    positions = jnp.concatenate([share * drawn for share in SHRUNK], axis=-1)
+    positions = jnp.concatenate([drawn * jnp.asarray(stretch)[:, None] for stretch in STRETCHES], axis=-1)
     signals, weights = problem.refinement(index)
     section = f"{'base' if index == 0 else 'auxiliary'}.gradients.weights"
     for name, signal in signals.items():
