@@ -11,11 +11,11 @@ import pytest
 from learning.probes import Linear, Parabola, Step, linear, parabola
 from murmurate.errors import InputError
 from murmurate.learning import GradientConfig, GradientHyperparameters, Segment, init
-from murmurate.learning.gradients import segment_return, train_chunk
+from murmurate.learning.gradients import limit_gradient, segment_return, train_chunk
 
 NUMBERS = {
     "updates": 60, "worlds": 16, "steps": 6, "discount": 0.9, "gae_lambda": 0.9, "reward_scale": 1.0,
-    "policy_rate": 0.1, "policy_rate_end": 0.01, "value_rate": 0.03, "value_rate_end": 0.01,
+    "max_state_gradient": 1e3, "policy_rate": 0.1, "policy_rate_end": 0.01, "value_rate": 0.03, "value_rate_end": 0.01,
 }  # fmt: skip
 
 
@@ -137,6 +137,45 @@ def test_chunks_add_up():
     half, _ = train_chunk(trained(slope(), 2)[0], slope(), numbers, shape, 2)
     for one, other in zip(jax.tree.leaves(whole), jax.tree.leaves(half), strict=True):
         np.testing.assert_array_equal(one, other)
+
+
+class Wall(Slope):
+    """The point's next place depends on where it is without bound, wherever it is beyond 1."""
+
+    def step(self, state, action):
+        x, age = state
+        steep = jnp.where(x > 1, 1e12 * (x - jax.lax.stop_gradient(x)), 0.0)
+        return super().step((x + steep, age), action)
+
+
+def test_one_episode_does_not_drown_the_others():
+    policy, value = Linear(jnp.asarray(-0.1), jnp.zeros(()), jnp.zeros(())), parabola()
+    env = Wall(jnp.asarray(12), jnp.asarray(100.0))
+
+    def slope_of(x, **numbers):
+        def total(policy):
+            return returned(policy, value, env, x, 4, **numbers)[0]
+
+        return float(eqx.filter_grad(total)(policy).slope)
+
+    # Alone it has any gradient; beside another one its part has the norm of at most the bound at each step.
+    assert abs(slope_of([1.5, 0.5], max_state_gradient=1e30)) > 1e9
+    limited, alone = slope_of([1.5, 0.5], max_state_gradient=0.5), slope_of([0.5, 0.5], max_state_gradient=0.5)
+    assert abs(limited - alone / 2) < 10
+    # A bound that nothing exceeds changes nothing.
+    assert slope_of([0.5, -0.7], max_state_gradient=1e3) == slope_of([0.5, -0.7], max_state_gradient=1e30)
+
+
+@pytest.mark.parametrize("bound", [0.2, 5.0])
+def test_the_gradient_of_each_episode_is_shortened(bound):
+    state = jnp.asarray([[3.0, 0.03], [4.0, 0.04]])  # two episodes: norms of 5 and 0.05
+
+    def total(state):
+        return jnp.mean(jnp.sum(limit_gradient(state, bound) ** 2 / 2, axis=0))
+
+    gradient = 2 * jax.grad(total)(state)  # of the sum over the episodes
+    np.testing.assert_allclose(jnp.linalg.norm(gradient, axis=0), [min(5.0, bound), 0.05], rtol=1e-6)
+    np.testing.assert_allclose(gradient[0] / gradient[1], [0.75, 0.75], rtol=1e-6)
 
 
 class Cliff(Slope):

@@ -47,6 +47,8 @@ class GradientConfig:
         value_rate_end: The same at the last update.
         reward_scale: Factor on every reward in training.
         max_gradient: Bound on the global norm of each network's gradient.
+        max_state_gradient: Bound on the norm of each episode's gradient by its state, at every step. Where robots almost
+            touch or hide each other, the next steps depend on it without bound, and one episode would drown all others.
         weights: Weights in the reward of signals that have a gradient, by name: of the objective, of one's own, or of
             the package; gathering stands for centered (C1) or compact (C2).
     """
@@ -64,6 +66,7 @@ class GradientConfig:
     value_rate_end: float = 1e-4
     reward_scale: float = 0.03
     max_gradient: float = 1.0
+    max_state_gradient: float = 1.0
     weights: Mapping[str, float] = field(
         default_factory=lambda: {
             "gathering": 1.0,
@@ -83,7 +86,7 @@ class GradientConfig:
             check_number(name, getattr(self, name), 0, 1)
         for name in ("policy_rate", "policy_rate_end", "value_rate", "value_rate_end"):
             check_number(name, getattr(self, name), 0, MAX_RATE)
-        for name in ("reward_scale", "max_gradient"):
+        for name in ("reward_scale", "max_gradient", "max_state_gradient"):
             check_number(name, getattr(self, name), 0, MAX_RATE, exclusive_low=True)
         for name, weight in self.weights.items():
             check_number(f"weights.{name}", weight, 0, MAX_MAGNITUDE)
@@ -99,6 +102,7 @@ class GradientHyperparameters(eqx.Module):
     value_rate: Schedule
     reward_scale: Any
     max_gradient: Any
+    max_state_gradient: Any
 
     @classmethod
     def from_config(cls, config: GradientConfig) -> GradientHyperparameters:
@@ -111,6 +115,7 @@ class GradientHyperparameters(eqx.Module):
             value_rate=Schedule(config.value_rate, config.value_rate_end),
             reward_scale=config.reward_scale,
             max_gradient=config.max_gradient,
+            max_state_gradient=config.max_state_gradient,
         )
         # Equinox compiles plain numbers into the program, so they become arrays; their type is not left to JAX's flags.
         return jax.tree.map(lambda x: x if isinstance(x, jax.Array) else jnp.asarray(x, jnp.float32), numbers)
@@ -129,6 +134,36 @@ class Segment:
     def from_config(cls, config: GradientConfig) -> Segment:
         """Returns the numbers of a configuration."""
         return cls(config.worlds, config.steps, config.epochs, config.minibatches)
+
+
+@jax.custom_vjp
+def limit_gradient(state: Any, bound: Any) -> Any:
+    """Returns the floating-point arrays of a state; each episode's gradient by them is shortened to a norm.
+
+    Gradients are those of a mean over the episodes, which are the last axis of every array. A gradient that is not
+    finite becomes 0: what came before has no part in it.
+
+    Args:
+        state: Arrays, or None where there is none.
+        bound: The largest norm.
+    """
+    del bound
+    return state
+
+
+def _limit_forward(state: Any, bound: Any) -> tuple[Any, Any]:
+    return state, bound
+
+
+def _limit_backward(bound: Any, gradient: Any) -> tuple[Any, None]:
+    square = sum(jnp.sum(leaf**2, axis=tuple(range(leaf.ndim - 1))) for leaf in jax.tree.leaves(gradient))
+    norm = jnp.sqrt(square) * square.shape[-1]
+    factor = jnp.where(norm > bound, bound / norm, 1.0)
+    usable = jnp.isfinite(square)
+    return jax.tree.map(lambda leaf: jnp.where(usable, factor * leaf, 0.0), gradient), None
+
+
+limit_gradient.defvjp(_limit_forward, _limit_backward)
 
 
 def segment_return(
@@ -156,6 +191,8 @@ def segment_return(
     @jax.checkpoint
     def step(carry: tuple[Any, Array], _: None) -> tuple[tuple[Any, Array], tuple[Any, Any, Array]]:
         state, alive = carry
+        floats, rest = eqx.partition(state, eqx.is_inexact_array)
+        state = eqx.combine(limit_gradient(floats, hyper.max_state_gradient), rest)
         observation = env.observe(state)
         after, transition = env.step(state, policy(observation))
         return (after, alive & ~transition.terminated), (observation, transition, alive)
@@ -185,7 +222,7 @@ def _update(
         loss, has_aux=True
     )(state.policy)
     norm = optax.tree.norm(gradient)
-    # Where robots almost touch, what a shield leaves of a move changes without bound: such a segment is left out.
+    # Of one episode's steps without a finite gradient nothing is left here; what else may fail is left out as a whole.
     usable = jnp.isfinite(norm)
     gradient = jax.tree.map(lambda g: jnp.where(usable, g, 0.0), gradient)
     policy, policy_moments = descend(
