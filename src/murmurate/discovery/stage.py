@@ -21,6 +21,7 @@ from murmurate.world import (
     ActionRepeat,
     JitteredStart,
     MixtureStart,
+    MotionCost,
     Start,
     SymmetricStart,
     UniformStart,
@@ -104,7 +105,10 @@ class Stage:
         world = training_world(part, self.index, self._starts[part_index], self._sigmas[part_index])
         # Robots perceive the world as it is: the margin is in the reward and in what counts as contact alone.
         perceived = with_array_leaves(part.world)
-        return ActionRepeat(build_environment(part, world, perceived), jnp.asarray(self.config.repeat, jnp.int32))
+        env = build_environment(part, world, perceived)
+        if self.config.motion_cost:
+            env = MotionCost(env, jnp.asarray(self.config.motion_cost, jnp.float32))
+        return ActionRepeat(env, jnp.asarray(self.config.repeat, jnp.int32))
 
     def begin(self, warm_start: Any | None = None) -> TrainState:
         """Returns the state of the training before its first update.

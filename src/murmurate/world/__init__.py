@@ -4,13 +4,16 @@ from murmurate.types import Observation, Transition, View
 from murmurate.world.config import MAX_ROBOTS, WorldConfig, check_pairs, check_world, scaled_to, with_array_leaves
 from murmurate.world.env import (
     ActionRepeat,
+    DeadZone,
     LocalObservation,
+    MotionCost,
     ObservedState,
     ScheduledState,
     SchedulerWrapper,
     State,
     World,
     Wrapper,
+    without_slow,
 )
 from murmurate.world.scheduling import (
     Activation,
@@ -51,6 +54,7 @@ __all__ = [
     "AsyncScheduler",
     "Clock",
     "Configuration",
+    "DeadZone",
     "DistributedStart",
     "Family",
     "FileStart",
@@ -60,6 +64,7 @@ __all__ = [
     "JitteredStart",
     "LocalObservation",
     "MixtureStart",
+    "MotionCost",
     "Objective",
     "Observation",
     "ObservedState",
@@ -95,4 +100,5 @@ __all__ = [
     "redraw_overlaps",
     "scaled_to",
     "with_array_leaves",
+    "without_slow",
 ]

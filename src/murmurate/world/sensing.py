@@ -93,6 +93,12 @@ class Sensing(Strategy):
         if self.miss_probability == 1:
             raise InputError("miss_probability", 1.0, "less than 1: a robot that perceives no other learns nothing")
 
+    @property
+    def is_constant(self) -> bool:
+        """Whether a robot sees a configuration alike every time; of a class of a user's own that is not known."""
+        is_noisy = self.range_noise > 0 or self.bearing_noise > 0 or self.miss_probability > 0
+        return not (is_noisy or self.resample_frames or self.is_foreign())
+
     @abstractmethod
     def perceived(self, configuration: Configuration) -> Bool[Array, "robots robots *batch"]:
         """Returns which robots (second axis) each robot (first axis) perceives; what the diagonal holds is ignored."""
