@@ -51,8 +51,8 @@ class TrainingPreset:
 # Each action is kept up for some steps while learning: exploration then moves robots instead of jittering them, without
 # which most searches end with a robot stuck inside the ring (try --base.repeat 1 --auxiliary.repeat 1). And exploration
 # fades: left to itself it stays, because noise frees a stuck robot, and the policy never learns to do so without it
-# (try --auxiliary.ppo.exploration learned). Motion costs a little, because otherwise a ring may turn for ever: no signal
-# changes, and its robots never come to rest (try --base.motion_cost 0 with --seed 1).
+# (try --auxiliary.ppo.exploration learned). Motion costs a little, because otherwise a ring may turn for ever: no
+# signal changes, and its robots never come to rest (try --base.motion_cost 0 --auxiliary.motion_cost 0 with --seed 1).
 _EQUIVARIANT = TrainingPreset(
     policy=EquivariantPolicy(hidden=(32, 16)),
     base=StageConfig(
