@@ -22,7 +22,8 @@ TINY = {
     "base": _STAGE,
     "auxiliary": _STAGE,
     "discovery": {"sigma": 8, "episodes": 8, "chunk": 2, "max_policies": 2, "required_valid": 0.5},
-    "rest": {"max_steps": 20, "tolerance": 0.05},  # whatever was learned, it comes to rest at once
+    # Whatever was learned, robots that hardly learned stand still, and the swarm comes to rest at once.
+    "rest": {"max_steps": 20, "switch_tolerance": 0.05, "dead_zone": 0.3},
 }
 
 
@@ -63,7 +64,7 @@ def seal(folder):
 
 def made_up_summary(episodes):
     """Returns what evaluation.json holds of episodes that a test made up, all of them valid."""
-    shares = ("valid", "contact_free", "inside", "mutually_visible", "gathered", "safe", "at_rest")
+    shares = ("valid", "contact_free", "inside", "mutually_visible", "gathered", "safe", "at_rest", "stationary")
     steps = ("base_steps", "auxiliary_steps", "total_steps", "bound_steps")
     return {
         **dict.fromkeys(shares, 1.0),

@@ -79,6 +79,9 @@ class Trajectories:
         signals: Signals by name.
         epochs: Epochs until the end: in each, every robot completed at least one Look-Compute-Move cycle.
         interventions: How often the shield shortened a robot's move; None where that is not recorded.
+        after_rest: Centres in the steps after rest, world units, up to the last one in which any robot of any episode
+            moved: the cascade is executed for some time more, with nothing frozen. Episodes that did not come to rest
+            hold still. None where that is not recorded.
     """
 
     positions: Float[np.ndarray, "episodes steps_and_one robots 2"]
@@ -89,6 +92,7 @@ class Trajectories:
     signals: dict[str, Float[np.ndarray, "episodes steps_and_one"]]
     epochs: Int[np.ndarray, " episodes"]
     interventions: Int[np.ndarray, " episodes"] | None = None
+    after_rest: Float[np.ndarray, "episodes steps_after robots 2"] | None = None
 
     @property
     def final(self) -> Float[np.ndarray, "episodes robots 2"]:

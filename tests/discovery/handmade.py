@@ -30,6 +30,19 @@ def shake():
     return Approach(jnp.asarray(1.0), jnp.asarray(0.0), jnp.asarray(True))
 
 
+class Turn(eqx.Module):
+    """Robots go round the origin for ever, each at its distance, by `speed` a step."""
+
+    speed: jax.Array
+
+    def __call__(self, positions):
+        x, y = positions[:, 0], positions[:, 1]
+        distance = jnp.sqrt(x**2 + y**2)
+        angle = 2 * jnp.arcsin(self.speed / (2 * distance))
+        cos, sin = jnp.cos(angle), jnp.sin(angle)
+        return jnp.stack([cos * x - sin * y, sin * x + cos * y], axis=1) - positions
+
+
 class Implode(eqx.Module):
     """All robots rush to the origin: always, or only where robot 1 is on the right, or (None) never."""
 

@@ -8,16 +8,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from handmade import approach, shake
+from handmade import Turn, approach, shake
 
 import murmurate
 from murmurate import prng
-from murmurate.discovery import Cascade, RestRule, check_validity
+from murmurate.discovery import STATIONARY_STEPS, Cascade, RestRule, check_validity
 from murmurate.discovery import cascade as cascade_module
 from murmurate.errors import InputError
 from murmurate.policies.baselines import Baseline
 from murmurate.world import (
     AsyncScheduler,
+    DeadZone,
     JitteredStart,
     LocalObservation,
     SchedulerWrapper,
@@ -33,7 +34,7 @@ from oracles import signals as oracle
 
 CONFIG = WorldConfig(robots=2, half_width=20.0, half_height=20.0, scan_radius=100.0, safe_distance=5.0)
 WINDOW = 4
-RULE = RestRule(window=WINDOW, tolerance=1e-4, switch_tolerance=1e-3, max_steps=30)
+RULE = RestRule(window=WINDOW, switch_tolerance=1e-3, max_steps=30)
 
 
 def world():
@@ -170,6 +171,59 @@ def test_a_policy_that_is_followed_need_not_settle_as_the_last_one_must():
     assert not trajectories.at_rest.any()
 
 
+def after_rest(trajectories):
+    """Returns how far each robot is from where it came to rest, at each step after that."""
+    return np.linalg.norm(trajectories.after_rest - trajectories.final[:, None], axis=-1)
+
+
+def test_whoever_stands_still_at_rest_is_not_watched_in_vain():
+    """Robots that remember nothing and see without noise go on to decide what they decided."""
+    trajectories = run([approach(5)], 5, 6, 10, 18)
+    assert trajectories.after_rest.shape == (4, 0, 2, 2)
+
+
+def test_a_creep_is_rest_but_not_for_long():
+    """Robots that move by 0.9 of what counts as still come to rest, and are then seen to move on."""
+    trajectories = run([approach(5, speed=0.9e-3)], 10, 5.0004, 5, 5.1)
+    assert trajectories.at_rest.all()
+    np.testing.assert_array_equal(trajectories.lengths, WINDOW)
+    assert trajectories.after_rest.shape == (4, STATIONARY_STEPS, 2, 2)
+    moved = after_rest(trajectories)
+    np.testing.assert_allclose(moved[0, :, 0], 0.9e-3 * np.arange(1, STATIONARY_STEPS + 1), rtol=1e-2)
+    assert (moved[1:3] == 0).all()
+    np.testing.assert_allclose(moved[3, -1], 0.1 - 0.9e-3 * WINDOW, atol=1e-3)
+    assert check_validity(trajectories, CONFIG).stationary.all(), "within a quarter of the radius"
+
+
+def test_a_creep_that_leaves_is_not_stationary():
+    """0.9 of a stillness of 2e-3 radii, for 200 steps, is farther than a quarter of a radius."""
+    trajectories = run([approach(5, speed=1.8e-3)], 10, 5.2, 5, 5.5, rule=dataclasses.replace(RULE, stillness=2e-3))
+    assert trajectories.at_rest.all()
+    validity = check_validity(trajectories, CONFIG)
+    assert validity.formed.all()
+    np.testing.assert_array_equal(validity.stationary, [False, True, True, False])
+
+
+def test_robots_that_turn_in_a_circle_are_never_at_rest():
+    """Though nothing that the objective measures ever changes."""
+    trajectories = run([Turn(jnp.asarray(0.02))], 5, 6, 7, 8)
+    assert not trajectories.at_rest.any()
+    np.testing.assert_array_equal(trajectories.lengths, RULE.max_steps)
+    np.testing.assert_allclose(np.ptp(trajectories.signals["nclose"], axis=1), 0, atol=1e-6)
+    assert trajectories.after_rest.shape[1] == 0, "only a swarm at rest is watched"
+
+
+def test_a_policy_that_is_followed_hands_over_though_its_robots_turn():
+    trajectories = run([Turn(jnp.asarray(0.02)), approach(5)], 5, 6, 7, 8)
+    np.testing.assert_array_equal(trajectories.switch, np.full((4, 1), WINDOW))
+
+
+def test_stillness_may_be_none_at_all():
+    rule = dataclasses.replace(RULE, stillness=0.0)
+    trajectories = run([approach(5, speed=1e-4)], 5, 5.0001, 5.001, 10, rule=rule)
+    np.testing.assert_array_equal(trajectories.at_rest, [True, True, True, False])
+
+
 def test_the_window_is_the_rules():
     trajectories = run([approach(5)], 10, 5, 6, 19, rule=dataclasses.replace(RULE, window=1))
     np.testing.assert_array_equal(trajectories.lengths, np.array([5, 0, 1, 14]) + 1)
@@ -195,7 +249,7 @@ def asynchronous():
     """Rolls out robots that circle, each in its own time with noisy sight: the first 1, or 1 and 70 others."""
     world = with_array_leaves(World.create(SIX, UniformStart(), "C2"))
     scheduler, sensing = AsyncScheduler(rigid=False), VisibleSensing(rotation=True, bearing_noise=0.01)
-    env = LocalObservation(SchedulerWrapper(world, scheduler), sensing, SIX)
+    env = DeadZone(LocalObservation(SchedulerWrapper(world, scheduler), sensing, SIX), 0.3)
     rule = RestRule(window=5 * scheduler.period, max_steps=200)
     cascade = Cascade((Baseline.registered()["circle"](SIX, False),), env, rule)
     starts = draw_starts(world.start, jax.random.key(5), COMPANY + 1, SIX)
@@ -221,8 +275,23 @@ def test_an_episode_is_the_same_alone_and_in_company(asynchronous):
     for field in ("lengths", "switch", "at_rest", "terminated", "epochs"):
         np.testing.assert_array_equal(getattr(together, field)[0], getattr(alone, field)[0], err_msg=field)
     first, second = (check_validity(trajectories, SIX) for trajectories in (alone, together))
-    for field in ("contact_free", "inside", "mutually_visible", "gathered", "safe", "at_rest"):
+    for field in ("contact_free", "inside", "mutually_visible", "gathered", "safe", "at_rest", "stationary"):
         assert getattr(first, field)[0] == getattr(second, field)[0], field
+
+
+def test_robots_that_see_with_noise_are_watched_after_rest(asynchronous):
+    """Nobody moved, but the noise may be another at the next look; cycles count, not steps."""
+    alone, together = asynchronous
+    last, most = alone.after_rest.shape[1], together.after_rest.shape[1]
+    assert 0 < most <= STATIONARY_STEPS * AsyncScheduler().period
+    np.testing.assert_array_equal(together.after_rest[0, :last], alone.after_rest[0])
+    np.testing.assert_array_equal(together.after_rest[0, last:], np.broadcast_to(alone.final[0], (most - last, 6, 2)))
+    cut_off = np.flatnonzero(~together.at_rest)
+    assert len(cut_off)
+    np.testing.assert_array_equal(
+        together.after_rest[cut_off], np.broadcast_to(together.final[cut_off][:, None], (len(cut_off), most, 6, 2))
+    )
+    assert (after_rest(together)[together.at_rest, -1].max(axis=-1) > 0).any()
 
 
 def test_networks_move_a_swarm_alike_alone_and_in_company(tiny_run):
@@ -260,9 +329,11 @@ def test_the_dice_of_an_episode_depend_on_its_index_alone():
     "fields",
     [
         {"window": 0},
-        {"tolerance": 0.0},
-        {"tolerance": float("nan")},
+        {"stillness": -1e-3},
+        {"stillness": float("nan")},
         {"switch_tolerance": float("inf")},
+        {"dead_zone": -0.1},
+        {"dead_zone": 1.0},
         {"max_steps": 0},
     ],
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import permutations
 
 import jax.numpy as jnp
@@ -17,6 +18,7 @@ from murmurate.world.start_files import check_configurations
 
 WORLD = WorldConfig(robots=6, half_width=35.0, half_height=35.0, scan_radius=30.0, safe_distance=5.0)
 FLAGS = ("contact_free", "inside", "mutually_visible", "gathered", "safe", "at_rest")
+"""What must hold for a pattern to form; whether it stays is another matter."""
 
 
 def ring(radius=8.0, angles=tuple(range(0, 360, 60))):
@@ -30,19 +32,32 @@ def with_robot(number, place, configuration=None):
     return configuration
 
 
-def validity(*configurations, at_rest=True):
-    """Checks one episode that goes through the given configurations."""
-    positions = np.stack(configurations).astype(np.float32)[None]
-    steps = np.array([len(configurations) - 1])
-    none = np.zeros((1, 0), int)
-    return check_validity(
-        Trajectories(positions, steps, none, np.array([at_rest]), np.array([False]), {}, steps), WORLD
+def validity(*configurations, at_rest=True, after=()):
+    """Checks one episode that goes through the given configurations, and after rest through others."""
+    positions = np.stack(configurations)
+    return check_validity(episodes(positions[None], at_rest=[at_rest], after=np.reshape(after, (1, -1, 6, 2))), WORLD)
+
+
+def episodes(positions, at_rest, after=None):
+    """Returns episodes of which only the positions and the rest are of interest; by default nobody moves after rest."""
+    count, steps, robots, _ = positions.shape
+    lengths = np.full(count, steps - 1)
+    after = np.zeros((count, 0, robots, 2)) if after is None else after
+    return Trajectories(
+        positions.astype(np.float32),
+        lengths,
+        np.zeros((count, 0), int),
+        np.asarray(at_rest),
+        np.zeros(count, bool),
+        {},
+        lengths,
+        after_rest=after.astype(np.float32),
     )
 
 
 def assert_fails(judged, *failing):
     assert {flag for flag in FLAGS if not getattr(judged, flag)[0]} == set(failing)
-    assert judged.valid[0] == (not failing)
+    assert judged.formed[0] == judged.stationary[0] == judged.valid[0] == (not failing)
 
 
 def test_a_ring_is_valid():
@@ -66,6 +81,42 @@ def test_one_robot_out_of_reach():
 
 def test_not_at_rest():
     assert_fails(validity(ring(), at_rest=False), "at_rest")
+
+
+def assert_formed_and_lost(judged):
+    assert (judged.formed[0], judged.stationary[0], judged.valid[0]) == (True, False, False)
+
+
+def test_a_pattern_that_stays_is_stationary():
+    assert_fails(validity(ring(), after=[ring(), ring()]))
+    assert_fails(validity(ring(), after=[with_robot(0, (8.1, 0)), ring(8.1)]))
+
+
+def test_a_robot_that_drifts_farther_than_a_quarter_of_its_radius():
+    assert_fails(validity(ring(), after=[ring(8.125), ring(8.249)]))
+    assert_formed_and_lost(validity(ring(), after=[ring(8.125), ring(8.251)]))
+    # Where it ends counts: it may have been farther away, as long as the pattern is valid there.
+    assert_fails(validity(ring(), after=[with_robot(0, (9, 0)), ring()]))
+
+
+def test_every_step_after_rest_must_be_valid():
+    """A robot touches another, leaves, hides others or is too near or too far for one step, and returns."""
+    for angle in (28.9, 47):
+        assert_formed_and_lost(validity(ring(), after=[ring(angles=(angle, 60, 120, 180, 240, 300)), ring()]))
+    assert_formed_and_lost(validity(ring(), after=[ring()[[3, 1, 2, 0, 4, 5]], ring()]))
+    for place in ((35.1, 0), (0, 0), (25, 0)):
+        assert_formed_and_lost(validity(ring(), after=[with_robot(0, place), ring()]))
+
+
+def test_what_nobody_saw_after_rest_is_not_known_to_stay():
+    seen = episodes(ring()[None, None], [True])
+    assert check_validity(seen, WORLD).valid.all()
+    assert_formed_and_lost(check_validity(replace(seen, after_rest=None), WORLD))
+
+
+def test_no_pattern_no_stationary_one():
+    assert_fails(validity(with_robot(0, (0, 0)), after=[ring(), ring()]), "mutually_visible")
+    assert_fails(validity(ring(), at_rest=False, after=[ring()]), "at_rest")
 
 
 def test_two_robots_swap_through_each_other():
@@ -120,6 +171,10 @@ def test_another_worlds_trajectories_are_refused_in_one_line():
     trajectories = Trajectories(positions, steps, none, np.ones(2, bool), ~rest, {}, steps)
     with pytest.raises(InputError, match=r"^trajectories.at_rest = .*\(1,\)"):
         check_validity(trajectories, WORLD)
+    for shape in [(2, 3, 6, 2), (1, 3, 5, 2), (1, 6, 2)]:
+        trajectories = replace(episodes(positions, [True]), after_rest=np.zeros(shape, np.float32))
+        with pytest.raises(InputError, match=r"^trajectories.after_rest = .*\(1, steps, 6, 2\)"):
+            check_validity(trajectories, WORLD)
 
 
 def test_two_robots_touched_on_the_way():
@@ -131,10 +186,7 @@ def test_every_episode_is_judged_for_itself():
     finals = [ring(), with_robot(0, (0, 0)), ring(radius=15.1), ring(angles=(0, 28.9, 120, 180, 240, 300)), ring()]
     positions = np.stack(finals)[:, None].astype(np.float32)
     rest = np.array([True, True, True, True, False])
-    zeros = np.zeros(5, int)
-    judged = check_validity(
-        Trajectories(positions, zeros, np.zeros((5, 0), int), rest, np.zeros(5, bool), {}, zeros), WORLD
-    )
+    judged = check_validity(episodes(positions, rest), WORLD)
     np.testing.assert_array_equal(judged.valid, [True, False, False, False, False])
     np.testing.assert_array_equal(judged.mutually_visible, [True, False, False, True, True])
     np.testing.assert_array_equal(judged.gathered, [True, True, False, True, True])
@@ -152,12 +204,12 @@ class Wide(Signal):
 
 
 def test_signals_of_ones_own_may_have_to_reach_a_value():
-    positions = np.stack([ring(), ring(9.0)])[:, None].astype(np.float32)
-    zeros = np.zeros(2, int)
-    trajectories = Trajectories(positions, zeros, np.zeros((2, 0), int), np.ones(2, bool), np.zeros(2, bool), {}, zeros)
-    judged = check_validity(trajectories, WORLD, {"wide": (Wide(), 8.5)})
-    np.testing.assert_array_equal(judged.signals["wide"], [False, True])
-    np.testing.assert_array_equal(judged.valid, [False, True])
+    positions = np.stack([ring(), ring(9.0), ring(8.6)])[:, None]
+    after = np.stack([ring(9.0), ring(9.0), ring(8.45)])[:, None]
+    judged = check_validity(episodes(positions, np.ones(3, bool), after), WORLD, {"wide": (Wide(), 8.5)})
+    np.testing.assert_array_equal(judged.signals["wide"], [False, True, True])
+    np.testing.assert_array_equal(judged.formed, [False, True, True])
+    np.testing.assert_array_equal(judged.valid, [False, True, False], err_msg="the last one loses its width after rest")
 
 
 @given(seed=st.integers(0, 2**32 - 1), robots=st.integers(2, 6), whole=st.booleans())

@@ -40,7 +40,7 @@ TINY += [
     "2",
 ]
 # Whatever was learned, it comes to rest at once.
-TINY += ["--rest.max_steps", "20", "--rest.tolerance", "0.5", "--rest.switch_tolerance", "0.5"]
+TINY += ["--rest.max_steps", "20", "--rest.dead_zone", "0.3", "--rest.switch_tolerance", "0.5"]
 
 
 def tokens(page: str, kind: str) -> list[Token]:

@@ -18,6 +18,7 @@ from murmurate.errors import InputError
 from murmurate.geometry import visible
 from murmurate.runs import presets
 from murmurate.runs.run import Run
+from murmurate.world import without_slow
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")  # of what the converter imports
@@ -30,7 +31,7 @@ ROBOTS = 5
 STATES = 1000
 CHECKED = 200
 """Configurations on which models are compared with their runs: the same number everywhere is compiled once."""
-REST = {"max_steps": 15, "window": 3, "switch_tolerance": 0.004, "tolerance": 0.003}
+REST = {"max_steps": 15, "window": 3, "switch_tolerance": 0.004, "stillness": 0.1, "dead_zone": 0.02}
 """So that some policies come to rest and others are cut off."""
 
 pytestmark = pytest.mark.filterwarnings("ignore:::(jax2onnx|onnx|onnx_ir|flax|orbax|google).*")
@@ -68,9 +69,12 @@ def one_policy(request):
     return run.cascade.policies[1], onnx.export(run, 1)
 
 
+LEAST_SPEED = REST["dead_zone"]  # the speed limit is 1
+
+
 @eqx.filter_jit
 def act(policy, positions):
-    return policy(positions)
+    return without_slow(policy(positions), LEAST_SPEED)
 
 
 @pytest.mark.parametrize("robots", [1, 2, 3, ROBOTS, 11])
@@ -81,6 +85,9 @@ def test_one_policy_serves_any_swarm_and_is_ours_to_1e_5(one_policy, robots):
     ours = np.moveaxis(act(policy, np.moveaxis(positions, 0, -1)), -1, 0)
     assert np.abs(ours).max() > 0.1 or robots == 1  # alone, and without a point to gather at, a robot stays
     np.testing.assert_allclose(theirs, ours, atol=1e-5)
+    stands = (ours == 0).all(axis=2)
+    assert (np.linalg.norm(ours, axis=2)[~stands] >= LEAST_SPEED - 1e-6).all()
+    assert stands.any() or robots == 11, "many robots see much, and all want to move"
 
 
 def loop(session, starts, most=60):
@@ -127,7 +134,7 @@ def test_a_central_cascade_has_a_dynamic_batch_and_its_own_number_of_robots():
 @eqx.filter_jit
 def velocities_in_world(env, policy, positions):
     state = env.state(positions, 0)
-    return state.frames, policy(env.observe(state))
+    return state.frames, without_slow(policy(env.observe(state)), LEAST_SPEED)
 
 
 @functools.cache

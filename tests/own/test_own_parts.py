@@ -22,6 +22,7 @@ from tiny import tiny
 HERE = Path(__file__).parent
 POLICIES = ("0-base.safetensors", "1-auxiliary.safetensors")
 ONE_POLICY = {"min_policies": 1, "max_policies": 1}
+MOVING = {"dead_zone": 0.0}
 
 
 @pytest.fixture(scope="module")
@@ -219,7 +220,9 @@ def test_other_sensing_and_shields(tmp_path):
     """From Python, with classes of the interactive session: they act, and the run is not opened without trust."""
     from own.mine import Half, Nearest
 
-    config = tiny(policy={"use": "local", "hidden": [8, 4]}, sensing={"use": "visible"}, discovery=ONE_POLICY)
+    config = tiny(
+        policy={"use": "local", "hidden": [8, 4]}, sensing={"use": "visible"}, discovery=ONE_POLICY, rest=MOVING
+    )
     run = murmurate.discover(config, out=tmp_path / "run", sensing=Nearest(rotation=True), shield=Half(0.25))
     view = run.cascade.env.observe(run.cascade.env.state(jnp.asarray(np.moveaxis(run.starts(2), 0, -1)))).view
     assert (np.asarray(view.seen).sum(axis=1) == 1).all()

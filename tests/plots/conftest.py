@@ -84,6 +84,7 @@ def trajectories(policies, objective, world, episodes, rng):
         terminated=np.zeros(episodes, bool),
         signals={name: np.stack([values[name] for values in signals]) for name in SIGNALS[objective]},
         epochs=np.zeros(episodes, int),
+        after_rest=np.zeros((episodes, 0, robots, 2), np.float32),
     )
 
 

@@ -41,7 +41,7 @@ def write_run(recording, folder):
 
 
 def arrays_of(trajectories):
-    arrays = {name: getattr(trajectories, name) for name in ("positions", "lengths", "switch", "at_rest")}
+    arrays = {name: getattr(trajectories, name) for name in ("positions", "lengths", "switch", "at_rest", "after_rest")}
     arrays["signals"] = np.stack(list(trajectories.signals.values()), axis=-1)
     return arrays | {"signal_names": np.array(list(trajectories.signals))}
 

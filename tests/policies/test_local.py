@@ -122,6 +122,18 @@ def test_positions_never_reach_the_acting_policy():
     assert not np.isfinite(np.asarray(act(value, blind))).any()
 
 
+def test_a_robot_knows_no_size_of_the_world():
+    """Neither its sides nor the time that it has: without walls to see, the same weights do the same."""
+    policy, _ = networks()
+    wide = WorldConfig(robots=6, half_width=500.0, half_height=70.0, collision_penalty=9.0)
+    build = eqx.filter_jit(LocalPolicy(hidden=(16, 8)).networks)
+    there, _ = build(wide, True, jax.random.key(0))
+    heads = (there.head.weight, there.to_point.weight)
+    there = eqx.tree_at(lambda p: (p.head.weight, p.to_point.weight), there, tuple(20 * weight for weight in heads))
+    plain = velocities(policy, configuration(), use="visible")
+    np.testing.assert_array_equal(velocities(there, configuration(), use="visible"), plain)
+
+
 @pytest.mark.parametrize("far", [0.0, 0.3, 40.0])
 def test_no_robot_goes_more_than_a_share_of_its_way_to_a_wall_that_it_perceives(far):
     """In a corner, and as fast as it would go anyway where no wall is near."""

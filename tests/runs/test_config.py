@@ -35,6 +35,17 @@ def test_values_are_checked(field, value, line):
     assert str(caught.value).startswith(line)
 
 
+def test_a_dead_zone_that_leaves_no_way_to_the_safe_distance_is_refused():
+    """Two robots that nearly touch are 2 from the safe distance of 4: at a speed limit of 4 that is half of a step."""
+    world = replace(tiny().world, max_speed=4.0)
+    for dead_zone in (0.0, 0.49):
+        replace(tiny(), world=world, rest=replace(tiny().rest, dead_zone=dead_zone))
+    with pytest.raises(InputError) as caught:
+        replace(tiny(), world=world, rest=replace(tiny().rest, dead_zone=0.5))
+    expected = "rest.dead_zone = 0.5: must be less than 0.5: a robot could not correct its way to the safe distance"
+    assert str(caught.value) == expected
+
+
 def test_every_leaf_has_a_help_text():
     assert [leaf.path for leaf in config_io.leaves(tiny()) if not leaf.help] == []
 

@@ -9,9 +9,11 @@ from scipy.stats import binomtest
 
 from murmurate.analysis.optimum import best_known
 from murmurate.analysis.optimum.best_known import BestKnown
-from murmurate.discovery import Trajectories, Validity
+from murmurate.discovery import Trajectories, Validity, check_validity
+from murmurate.errors import RunError
 from murmurate.runs import files, table
 from murmurate.runs.evaluate import Evaluation, wilson
+from murmurate.runs.failures import describe_failures
 from murmurate.runs.folder import RunFolder
 from tiny import tiny
 
@@ -30,7 +32,7 @@ def made_up(switch, lengths, valid, bound=(10.0, 30.0)):
     )
     yes = np.ones(2, bool)
     return Evaluation(
-        tiny(), 5, {"kind": "fresh"}, trajectories, Validity(yes, yes, yes, yes, yes, valid), np.array(bound)
+        tiny(), 5, {"kind": "fresh"}, trajectories, Validity(yes, yes, yes, yes, yes, valid, valid), np.array(bound)
     )
 
 
@@ -88,7 +90,7 @@ def stands_still(positions, **world):
     trajectories = Trajectories(
         np.array(positions, np.float32)[None, None], zero, np.zeros((1, 0), np.int32), yes, none, signals, zero
     )
-    validity = Validity(yes, yes, yes, yes, yes, yes)
+    validity = Validity(yes, yes, yes, yes, yes, yes, yes)
     return Evaluation(
         tiny(world={"safe_distance": 5.0, **world}), 0, {"kind": "fresh"}, trajectories, validity, np.array([0.0])
     )
@@ -137,3 +139,31 @@ def test_interventions_of_a_shield_are_recorded_and_shown(tmp_path):
     summary = folder.evaluation()
     assert summary["interventions"] == 3.5
     assert ("moves shortened by the shield, an episode", "3.5") in table.comparison(summary, None)[1]
+
+
+def test_what_follows_after_rest_is_recorded_and_shown(tmp_path):
+    """Of two patterns one stays; the other's robots drift apart."""
+    square = np.array([[0.0, 0.0], [5.0, 0.0], [0.0, 5.0]])
+    evaluation = made_up([[20], [40]], [30, 70], [True, True])
+    after = np.stack([[square] * 3, [square, 1.1 * square, 1.2 * square]]).astype(np.float32)
+    positions = np.broadcast_to(square.astype(np.float32), evaluation.trajectories.positions.shape)
+    trajectories = replace(evaluation.trajectories, positions=positions, after_rest=after)
+    experiment = evaluation.experiment
+    validity = check_validity(trajectories, experiment.world)
+    evaluation = replace(evaluation, trajectories=trajectories, validity=validity)
+    folder = RunFolder(tmp_path)
+    folder.write_experiment(experiment)
+    evaluation.save(folder)
+    np.testing.assert_array_equal(folder.trajectories().after_rest, after)
+    summary = folder.evaluation()
+    assert list(summary).index("stationary") == list(summary).index("at_rest") + 1
+    assert (summary["at_rest"], summary["stationary"], summary["valid"], summary["failures"]) == (1.0, 0.5, 0.5, [1])
+    assert ("stationary", "1 of 2") in table.comparison(summary, None)[1]
+    assert describe_failures(experiment, trajectories)[0] == "1 of 2 starts failed: 1 not stationary"
+    arrays = files.read_npz(tmp_path / "trajectories.npz")
+    files.write_npz(tmp_path / "trajectories.npz", arrays | {"after_rest": after[:, :, :2]})
+    with pytest.raises(RunError, match="has after_rest as"):
+        folder.trajectories()
+    files.write_npz(tmp_path / "trajectories.npz", arrays | {"after_rest": after * np.nan})
+    with pytest.raises(RunError, match="not finite"):
+        folder.trajectories()

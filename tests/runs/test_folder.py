@@ -6,6 +6,7 @@ import json
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 
 import jax
 import numpy as np
@@ -15,6 +16,7 @@ from murmurate.discovery import policy_templates
 from murmurate.errors import RunError
 from murmurate.runs import catalogues, files
 from murmurate.runs.evaluate import evaluate, evaluated
+from murmurate.runs.failures import describe_failures
 from murmurate.runs.folder import LOCK, MANIFEST, RunFolder, describe_starts, is_fresh, trained_checksums
 from murmurate.runs.run import Run
 from tiny import seal, tiny
@@ -101,6 +103,25 @@ def test_the_manifest_records_what_numbers_depend_on(finished):
     assert "jax_threefry_partitionable" in manifest["flags"]
 
 
+_LATER = ("terminated", "epochs", "after_rest")
+
+
+def test_experiments_of_version_0_1_0_have_another_rule_of_rest(tmp_path):
+    """`tolerance` is read and means nothing, and robots that knew no dead zone have none."""
+    folder = RunFolder(tmp_path)
+    folder.write_experiment(tiny())
+    path = tmp_path / "experiment.toml"
+    lines = path.read_text().splitlines()
+    old = [line for line in lines if not line.startswith(("dead_zone", "stillness", "motion_cost"))]
+    assert len(old) == len(lines) - 4
+    path.write_text("\n".join(old).replace("switch_tolerance", "tolerance = 0.0003\nswitch_tolerance"))
+    rest = tiny().rest
+    assert folder.experiment() == replace(tiny(), rest=replace(rest, dead_zone=0.0))
+    path.write_text(path.read_text().replace("tolerance = 0.0003", "patience = 0.0003", 1))
+    with pytest.raises(RunError, match=r"rest\.patience = 0\.0003: must be a field of \[rest\]"):
+        folder.experiment()
+
+
 def test_folders_of_version_0_1_0_are_read(damaged):
     """Written as version 0.1.0 did: sentences for states, and contact and walls counted together."""
     path = damaged.path
@@ -109,15 +130,22 @@ def test_folders_of_version_0_1_0_are_read(damaged):
         del manifest[name]
     manifest |= {"outcome": "no valid pattern was discovered", "format": 1, "checksums": trained_checksums(manifest)}
     files.write_json(path / MANIFEST, manifest)
-    for name in ("contact_free", "inside", "thresholds"):
+    for name in ("contact_free", "inside", "thresholds", "stationary"):
         del summary[name]
     files.write_json(path / "evaluation.json", summary | {"collision_free": 0.5, "starts": "mine.csv"})
     arrays = files.read_npz(path / "trajectories.npz")
-    files.write_npz(path / "trajectories.npz", {k: v for k, v in arrays.items() if k not in ("terminated", "epochs")})
+    files.write_npz(path / "trajectories.npz", {k: v for k, v in arrays.items() if k not in _LATER})
     assert damaged.verify()["valid_pattern"] is False
     assert (damaged.evaluation()["contact_free"], damaged.evaluation()["inside"]) == (0.5, 0.5)
     assert describe_starts(damaged.evaluation()) == "starts of mine.csv"
     assert damaged.trajectories().lengths.tolist() == arrays["lengths"].tolist()
+    # Whether patterns stay is not known: no summary says so, and no positions show it.
+    assert np.isnan(damaged.evaluation()["stationary"])
+    assert damaged.trajectories().after_rest is None
+    judged = evaluated(damaged)
+    assert (judged["stationary"], judged["valid"]) == (0.0, 0.0)
+    (line,) = describe_failures(damaged.experiment(), damaged.trajectories())
+    assert line.startswith("200 of 200 starts failed: what follows after rest was not recorded")
     change(path / "evaluation.json", starts="fresh")
     assert is_fresh(damaged.evaluation())
     damaged.write_evaluation(summary, arrays)

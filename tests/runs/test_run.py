@@ -131,7 +131,8 @@ def test_notebooks_show_pictures(run):
 
 def test_the_key_reaches_scheduler_and_frames(run):
     """With the same starts, other keys activate other robots; a key of jax.random counts as well."""
-    half = run.under(replace(run.experiment, scheduler=SsyncScheduler(activation_probability=0.5)))
+    restless = replace(run.experiment, rest=replace(run.experiment.rest, dead_zone=0.0))
+    half = run.under(replace(restless, scheduler=SsyncScheduler(activation_probability=0.5)))
     starts = run.starts(4)
     keys = (0, 1, jax.random.key(0), jax.random.key(1))
     positions = [half.rollout(starts, key).positions[:, 1].tobytes() for key in keys]

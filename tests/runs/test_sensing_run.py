@@ -10,7 +10,7 @@ from murmurate.errors import InputError
 from murmurate.runs import presets, train
 from murmurate.runs.folder import RunFolder
 from murmurate.runs.run import Run
-from murmurate.world import LocalObservation
+from murmurate.world import DeadZone, LocalObservation
 from tiny import KINDS, tiny
 
 LOCAL = KINDS["local"]
@@ -25,8 +25,9 @@ def run(tiny_run):
 def test_it_is_opened_with_the_eyes_it_was_trained_with(run):
     assert run.experiment == tiny(**LOCAL)
     assert run.experiment.sensing.range_noise == 0.01
-    assert isinstance(run.cascade.env, LocalObservation)
-    assert run.cascade.env.sensing.name == "visible"
+    assert isinstance(run.cascade.env, DeadZone)
+    assert isinstance(run.cascade.env.env, LocalObservation)
+    assert run.cascade.env.env.sensing.name == "visible"
     first, second = Run.open(run.folder).rollout(4, key=1), run.rollout(4, key=1)
     np.testing.assert_array_equal(first.positions, second.positions)
     assert first.positions.shape[2:] == (3, 2)

@@ -6,6 +6,7 @@ import json
 import os
 import shutil
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -352,6 +353,18 @@ def test_an_evaluation_ends_where_memory_would(strange, monkeypatch):
     with pytest.raises(RunError, match="50 episodes of 3 robots did not come to rest in 1 steps"):
         run.rollout(50)
     assert len(run.rollout(2).lengths) == 2
+
+
+def test_what_follows_after_rest_ends_where_memory_would(strange, monkeypatch):
+    from murmurate.discovery import cascade
+
+    run = Run.open(strange.path)
+    rest = replace(run.experiment.rest, dead_zone=0.0, stillness=1.0)
+    creeping = run.under(replace(run.experiment, rest=rest))
+    assert creeping.rollout(2).after_rest.shape[1] == 200
+    monkeypatch.setattr(cascade, "MAX_RECORD_BYTES", 4 * 2 * 3 * 2 * 199)
+    with pytest.raises(RunError, match="the 200 steps after rest are more than memory holds: try fewer episodes"):
+        creeping.rollout(2)
 
 
 # What messages and pages show

@@ -17,6 +17,7 @@ SUMMARY = {
     "gathered": 1.0,
     "safe": 1.0,
     "at_rest": 1.0,
+    "stationary": 0.99,
     "valid": 0.99,
     "valid_interval": [0.9643, 0.9973],
     "base_steps": 60.0,
@@ -34,6 +35,7 @@ def test_a_run_stands_beside_the_paper():
     assert text["auxiliary steps"] == ("223.56", "30.50")
     assert text["total steps"] == ("1168.83 printed, 745.27 summed", "90.50")
     assert text["total / bound"] == ("-", "3.02")
+    assert text["stationary"] == ("-", "198 of 200")
     assert text["valid pattern"] == ("-", "198 of 200 (95%: 96.4-99.7%)")
     assert table.comparison(SUMMARY, None)[1][2] == ("total steps", "90.50")
     assert table.comparison(SUMMARY, None)[0] == ("200 fresh starts", "this run")

@@ -86,7 +86,7 @@ def test_metrics_are_one_row_an_update(finished):
 
 def test_evaluation_and_trajectories_have_the_fields_of_the_contract(finished):
     summary = files.read_json(finished / "evaluation.json")
-    fractions = ("contact_free", "inside", "mutually_visible", "gathered", "safe", "at_rest", "valid")
+    fractions = ("contact_free", "inside", "mutually_visible", "gathered", "safe", "at_rest", "stationary", "valid")
     steps = ("base_steps", "auxiliary_steps", "total_steps", "bound_steps")
     assert {"experiment", "robots", "episodes", "seed", "signal", *fractions, *steps} <= summary.keys()
     assert summary["signal"].keys() == {"nclose", "safety", "neighbors", "visible", "total"}

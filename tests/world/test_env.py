@@ -13,7 +13,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from murmurate.errors import InputError
-from murmurate.world import ScatteredStart, World, WorldConfig, with_array_leaves
+from murmurate.world import (
+    AsyncScheduler,
+    DeadZone,
+    GlobalSensing,
+    LocalObservation,
+    MotionCost,
+    ScatteredStart,
+    SchedulerWrapper,
+    Transition,
+    World,
+    WorldConfig,
+    Wrapper,
+    with_array_leaves,
+    without_slow,
+)
 from oracles import contact
 from oracles import signals as oracle
 
@@ -209,6 +223,74 @@ def test_the_penalty_is_shared_by_those_who_collided_or_left():
     _, left = move(world, [[0.0, 0.0], [5.0, 0.0], [9.0, 15.0], [-9.0, -9.0]], still(r2=(0.0, 1.0)))
     np.testing.assert_array_equal(left.credit, [0.0, 0.0, -0.75, 0.0])
     assert hit.reward == left.reward == -0.75
+
+
+wrapped_step = jax.jit(lambda env, state, velocities: env.step(state, velocities))
+
+
+def test_a_robot_stands_still_by_its_own_wish_alone(world):
+    """Whoever wants less than the dead zone stays exactly where it is; the others do what they want."""
+    env = DeadZone(world, jnp.asarray(0.3))
+    assert (env.unwrapped, env.period, env.keeps_rest) == (world, 1, True)
+    wishes = np.array([[0.2, 0.2], [0.21, -0.22], [-0.3, 0.0], [0.0, -0.29999]])
+    after, _ = wrapped_step(env, begin(world, SQUARE), jnp.asarray(wishes, jnp.float32))
+    executed = wishes * [[0], [1], [1], [0]]
+    np.testing.assert_allclose(after.positions, SQUARE + executed, atol=1e-6)
+    np.testing.assert_array_equal(np.asarray(after.positions)[[0, 3]], SQUARE[[0, 3]])
+    expected, _ = move(world, SQUARE, executed)
+    np.testing.assert_allclose(after.objective, expected.objective, atol=1e-6)
+
+
+def test_a_dead_zone_of_nothing_stops_nobody():
+    wishes = np.random.default_rng(0).normal(size=(4, 2, 3)).astype(np.float32)
+    np.testing.assert_array_equal(without_slow(wishes, 0.0), wishes)
+    slow = np.linalg.norm(wishes, axis=1, keepdims=True) < 0.8
+    np.testing.assert_array_equal(without_slow(wishes, 0.8), np.where(slow, 0, wishes))
+
+
+@pytest.mark.parametrize("per_robot", [False, True])
+def test_motion_costs_what_is_learned_from_and_not_what_is_recorded(per_robot):
+    world = build(CONFIG, per_robot=per_robot)
+    env = MotionCost(world, jnp.asarray(0.1))
+    velocities = np.array([[3.0, 0.0], [0.0, 0.0], [0.6, -0.8], [0.0, 0.25]])  # the first is clipped to 1
+    _, plain = move(world, SQUARE, velocities)
+    _, paid = wrapped_step(env, begin(world, SQUARE), jnp.asarray(velocities, jnp.float32))
+    cost = 0.1 * np.array([1.0, 0.0, 1.0, 0.25])
+    np.testing.assert_allclose(plain.credit - paid.credit, cost if per_robot else [cost.mean()], atol=1e-6)
+    np.testing.assert_array_equal(paid.reward, plain.reward)
+
+
+class Free(Wrapper):
+    """A world in which nothing but the cost of motion counts."""
+
+    def step(self, state, action):
+        zero = jnp.zeros(4)
+        after = eqx.tree_at(lambda s: s.positions, state, state.positions + action)
+        return after, Transition(zero[0], zero[0] > 0, zero[0] > 0, {}, zero)
+
+
+def test_the_cost_of_motion_has_a_gradient_also_where_nobody_moves(world):
+    env, state = MotionCost(Free(world), jnp.asarray(0.1)), begin(world, SQUARE)
+    velocities = jnp.zeros((4, 2)).at[1].set(jnp.asarray([0.6, 0.8]))
+    gradient = jax.grad(lambda v: env.step(state, v)[1].credit.sum())(velocities)
+    np.testing.assert_allclose(gradient, -0.1 * velocities, atol=1e-6)
+
+
+def test_what_is_known_of_robots_at_rest(world):
+    """Whether they go on to see the same, and within how many steps each of them looks."""
+    own = type("Own", (GlobalSensing,), {})
+    for sensing, keeps in [
+        (GlobalSensing(rotation=True, unit_ratio=2.0), True),
+        (GlobalSensing(range_noise=0.1), False),
+        (GlobalSensing(bearing_noise=0.1), False),
+        (GlobalSensing(miss_probability=0.1), False),
+        (GlobalSensing(rotation=True, resample_frames=True), False),
+        (own(), False),
+    ]:
+        env = DeadZone(LocalObservation(SchedulerWrapper(world, AsyncScheduler()), sensing, CONFIG), 0.1)
+        assert (env.keeps_rest, env.period) == (keeps, AsyncScheduler().period), sensing
+    foreign = type("Later", (AsyncScheduler,), {})
+    assert not SchedulerWrapper(world, foreign()).keeps_rest
 
 
 @given(seed=st.integers(0, 2**32 - 1))

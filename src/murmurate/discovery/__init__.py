@@ -8,7 +8,7 @@ from murmurate.discovery.build import (
     check_parts,
     policy_templates,
 )
-from murmurate.discovery.cascade import Cascade, RestRule
+from murmurate.discovery.cascade import STATIONARY_STEPS, Cascade, RestRule
 from murmurate.discovery.curriculum import Curriculum
 from murmurate.discovery.limits import MAX_REST_STEPS, rollout
 from murmurate.discovery.problem import DiscoveryConfig, Problem, StageConfig
@@ -19,6 +19,7 @@ from murmurate.types import Trajectories
 
 __all__ = [
     "MAX_REST_STEPS",
+    "STATIONARY_STEPS",
     "Cascade",
     "Curriculum",
     "DiscoveryConfig",

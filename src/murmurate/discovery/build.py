@@ -19,6 +19,7 @@ from murmurate.policies import ShieldWrapper
 from murmurate.registry import Strategy
 from murmurate.world import (
     Configuration,
+    DeadZone,
     LocalObservation,
     SchedulerWrapper,
     Signal,
@@ -50,7 +51,7 @@ def build_world(problem: Problem, start: Start | None = None) -> World:
 
 
 def build_environment(problem: Problem, world: World, perceived: WorldConfig | None = None) -> World | Wrapper:
-    """Puts the scheduler, the sensing and the shield of a problem around a world.
+    """Puts the scheduler, the sensing, the shield and the dead zone of a problem around a world.
 
     Args:
         problem: The problem.
@@ -67,6 +68,8 @@ def build_environment(problem: Problem, world: World, perceived: WorldConfig | N
         env = LocalObservation(env, problem.sensing, perceived)
     if not problem.shield.is_trivial:
         env = ShieldWrapper(env, with_array_leaves(problem.prepared_shield), perceived)
+    if problem.rest.dead_zone:
+        env = DeadZone(env, jnp.asarray(problem.least_speed, jnp.float32))
     return env
 
 

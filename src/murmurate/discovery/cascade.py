@@ -1,8 +1,8 @@
-"""The policy list as it is executed: each policy acts until the swarm is at rest; then all robots hold still."""
+"""The policy list as it is executed: each policy acts until the swarm is at rest; then what follows is watched."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,11 +13,14 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from murmurate import prng
-from murmurate.errors import MAX_INTEGER, MAX_MAGNITUDE, InputError, check_function, check_number
+from murmurate.errors import MAX_INTEGER, MAX_MAGNITUDE, InputError, RunError, check_function, check_number
 from murmurate.types import Trajectories
 from murmurate.world import World, Wrapper, checked_starts, episodes_at_once
 
-__all__ = ["Cascade", "RestRule"]
+__all__ = ["MAX_RECORD_BYTES", "STATIONARY_STEPS", "Cascade", "RestRule"]
+
+MAX_RECORD_BYTES = 1 << 32
+"""Memory of the positions of a rollout, at most: 10,000 episodes of ten robots, more than 5,000 steps each."""
 
 CHUNK = 50
 """Steps between two checks whether every episode has ended, at most."""
@@ -26,27 +29,47 @@ CHUNK_TRIPLES = 1 << 28
 """Triples of robots in all steps of a chunk of two or more, about: they take seconds, and nothing interrupts them."""
 
 
+STATIONARY_STEPS = 200
+"""Steps (cycles, under a scheduler) for which a swarm that came to rest is watched: does its pattern stay?"""
+
+DECIDING_PERIODS = 3
+"""Periods of a scheduler in which every robot looks, and begins the move that it decides on, at least once.
+
+A move may begin a period after its look, and between two looks there is at most one.
+"""
+
+
 @dataclass(frozen=True)
 class RestRule:
-    """When a policy has brought the swarm to rest.
+    """When a policy has brought the swarm to rest, and what robots do for it.
+
+    The last policy brings the swarm to rest by itself: its robots stop. A policy that another one follows hands over as
+    soon as the objective changes no more, which only somebody who looks at the whole swarm can know.
 
     Attributes:
-        window: Steps over which the mean |step reward| is taken.
-        tolerance: Rest is a mean below this; the reward is the objective's change, with the signals' own weights.
-        switch_tolerance: The same for a policy that another one follows: it need not settle what that one moves again.
+        window: Steps for which robots must be still, and over which the mean change of the objective is taken.
+        stillness: A robot is still in a step in which it moves no farther than so many radii (the last policy).
+        switch_tolerance: A policy that another one follows ends where the mean |change of the objective| is below this,
+            with the signals' own weights: it need not settle what the next one moves again.
+        dead_zone: A robot that wants to move slower than this share of the speed limit stands still, in training as in
+            execution.
         max_steps: Steps after which a policy that does not come to rest is cut off.
     """
 
     window: int = 5
-    tolerance: float = 3e-4
+    stillness: float = 1e-3
     switch_tolerance: float = 1.5e-3
+    dead_zone: float = 0.1
     max_steps: int = 300
 
     def __post_init__(self) -> None:
         for name in ("window", "max_steps"):
             check_number(name, getattr(self, name), 1, MAX_INTEGER, integer=True)
-        for name in ("tolerance", "switch_tolerance"):
-            check_number(name, getattr(self, name), 0, MAX_MAGNITUDE, exclusive_low=True)
+        check_number("stillness", self.stillness, 0, MAX_MAGNITUDE)
+        check_number("switch_tolerance", self.switch_tolerance, 0, MAX_MAGNITUDE, exclusive_low=True)
+        check_number("dead_zone", self.dead_zone, 0, 1)
+        if self.dead_zone == 1:
+            raise InputError("dead_zone", self.dead_zone, "less than 1: no robot would ever move along an axis")
 
 
 class _Status(eqx.Module):
@@ -58,10 +81,13 @@ class _Status(eqx.Module):
         active_policy: Place in the list of the policy that acts; the number of policies when all are done.
         steps_active: Steps for which it has acted.
         recent_changes: Its last changes of the objective.
+        still_steps: Its last steps in a row in which every robot was still.
+        unmoved_steps: Its last steps in a row in which no robot moved at all.
         length: Steps so far.
         switch: Steps at which each policy ended.
         at_rest: Whether the last policy came to rest.
         terminated: Whether the episode ended in contact or outside the world.
+        watched: Whether it came to rest and goes on, to see whether its pattern stays: nothing ends it any more.
     """
 
     state: Any
@@ -69,10 +95,13 @@ class _Status(eqx.Module):
     active_policy: Int[Array, " batch"]
     steps_active: Int[Array, " batch"]
     recent_changes: Float[Array, "window batch"]
+    still_steps: Int[Array, " batch"]
+    unmoved_steps: Int[Array, " batch"]
     length: Int[Array, " batch"]
     switch: Int[Array, "policies batch"]
     at_rest: Bool[Array, " batch"]
     terminated: Bool[Array, " batch"]
+    watched: Bool[Array, " batch"]
 
     def moving(self) -> Bool[Array, " batch"]:
         """Returns which episodes have not ended."""
@@ -110,6 +139,7 @@ class Cascade(eqx.Module):
     ) -> Trajectories:
         """Executes the cascade from the given configurations, always with the most likely action.
 
+        Swarms that came to rest are executed for `STATIONARY_STEPS` more steps, with nothing frozen.
         Episodes are executed in batches of a fixed size, one after another: see `episodes_at_once`.
 
         Args:
@@ -123,6 +153,7 @@ class Cascade(eqx.Module):
 
         Raises:
             InputError: The starts have another shape, or the seed is none.
+            RunError: So many swarms move on after rest, for so many steps of their scheduler, that memory is full.
         """
         starts = checked_starts("starts", starts, self.world.config.robots)
         if not np.isfinite(starts).all():
@@ -134,6 +165,7 @@ class Cascade(eqx.Module):
         keys = np.asarray(_episode_key_data(jnp.asarray(seed, jnp.uint32), episodes))
         firsts = range(0, episodes, size)
         max_steps = self.rest.max_steps * len(self.policies) * len(firsts)
+        most = MAX_RECORD_BYTES // starts.nbytes
         batches: list[Trajectories] = []
 
         def report(steps: int, ended: int) -> None:
@@ -143,7 +175,7 @@ class Cascade(eqx.Module):
 
         for first in firsts:
             part = slice(first, first + size)
-            batches.append(self._execute_batch(starts[part], keys[part], size, report))
+            batches.append(self._execute_batch(starts[part], keys[part], size, most, report))
         return _concatenated(batches)
 
     def _execute_batch(
@@ -151,9 +183,18 @@ class Cascade(eqx.Module):
         starts: Float[np.ndarray, "episodes robots 2"],
         keys: UInt32[np.ndarray, "episodes two"],
         size: int,
+        most: int,
         report: Callable[[int, int], None],
     ) -> Trajectories:
-        """Executes few episodes as part of a batch of a fixed size, which copies of the first one fill."""
+        """Executes few episodes as part of a batch of a fixed size, which copies of the first one fill.
+
+        Args:
+            starts: Their configurations.
+            keys: Their randomness.
+            size: The size of the batch.
+            most: Steps after rest that memory holds.
+            report: Called with the steps so far, and how many episodes have ended.
+        """
         episodes, robots, _ = starts.shape
         chosen = np.where(np.arange(size) < episodes, np.arange(size), 0)
         # Committed to its device, as the weights of a training are and all that is computed with them: otherwise the
@@ -169,6 +210,7 @@ class Cascade(eqx.Module):
             parts.append(jax.device_get(part))
             moving = int(np.count_nonzero(status.moving()))
             report(int(status.length.max()), episodes - moving)
+        after_rest = self._watch(status, chunk, most)[:episodes]
         lengths = np.asarray(status.length)[:episodes]
         recorded = int(lengths.max()) + 1
         positions, signals = jax.tree.map(lambda *parts: np.concatenate(parts)[:recorded, ..., :episodes], *parts)
@@ -181,27 +223,55 @@ class Cascade(eqx.Module):
             signals={name: signals[name].T for name in self.world.objective.names},
             epochs=np.asarray(status.state.epochs, np.int32)[:episodes],
             interventions=np.asarray(status.state.interventions, np.int32)[:episodes],
+            after_rest=after_rest,
         )
+
+    def _watch(self, status: _Status, chunk: int, most: int) -> Float[np.ndarray, "batch steps robots 2"]:
+        """Executes the swarms that came to rest for some more steps, and records them until nobody moves any more."""
+        # Nothing can change any more where no robot moved at all while each looked, decided and would have begun to
+        # move: robots remember nothing, so whoever sees without noise what it saw before decides what it decided.
+        decided = self.env.keeps_rest and self.rest.window >= DECIDING_PERIODS * self.env.period
+        settled = decided & np.asarray(status.unmoved_steps >= self.rest.window)
+        unsettled = np.asarray(status.at_rest) & ~settled
+        steps = STATIONARY_STEPS * self.env.period if unsettled.any() else 0
+        if steps > most:
+            raise RunError(f"the {steps} steps after rest are more than memory holds: try fewer episodes")
+        # With the same program: the last policy goes on where it came to rest, and all others have ended.
+        last = len(self.policies) - 1
+        active_policy = jnp.where(status.at_rest, last, last + 1).astype(status.active_policy.dtype)
+        status = eqx.tree_at(lambda s: (s.active_policy, s.watched), status, (active_policy, status.at_rest))
+        parts = [np.asarray(status.state.positions)[None]]
+        for _ in range(0, steps, chunk):
+            status, (part, _) = _advance(self, status, chunk)
+            parts.append(np.asarray(part))
+        recorded = np.concatenate(parts)[: steps + 1]
+        moved = np.flatnonzero((recorded[1:] != recorded[:-1]).any(axis=(1, 2, 3)))
+        count = moved[-1] + 1 if len(moved) else 0
+        return np.ascontiguousarray(np.moveaxis(recorded[1 : count + 1], -1, 0))
 
 
 def _concatenated(batches: Sequence[Trajectories]) -> Trajectories:
     """Returns the episodes of all batches; those of the shorter ones hold still until the end of the longest."""
-    steps = max(batch.positions.shape[1] for batch in batches)
 
-    def join(parts: Iterable[np.ndarray]) -> np.ndarray:
+    def join(parts: Sequence[np.ndarray]) -> np.ndarray:
+        steps = max(part.shape[1] for part in parts)
         return np.concatenate(
             [np.pad(x, ((0, 0), (0, steps - x.shape[1]), *[(0, 0)] * (x.ndim - 2)), mode="edge") for x in parts]
         )
 
+    # Where nobody moved after rest there is no step to repeat, but the configuration of rest.
+    watched = [(batch.final[:, None], batch.after_rest) for batch in batches if batch.after_rest is not None]
+    after_rest = join([np.concatenate(parts, axis=1) for parts in watched])[:, 1:]
     return Trajectories(
-        positions=join(batch.positions for batch in batches),
+        positions=join([batch.positions for batch in batches]),
         lengths=np.concatenate([batch.lengths for batch in batches]),
         switch=np.concatenate([batch.switch for batch in batches]),
         at_rest=np.concatenate([batch.at_rest for batch in batches]),
         terminated=np.concatenate([batch.terminated for batch in batches]),
-        signals={name: join(batch.signals[name] for batch in batches) for name in batches[0].signals},
+        signals={name: join([batch.signals[name] for batch in batches]) for name in batches[0].signals},
         epochs=np.concatenate([batch.epochs for batch in batches]),
         interventions=np.concatenate([batch.interventions for batch in batches if batch.interventions is not None]),
+        after_rest=after_rest,
     )
 
 
@@ -228,10 +298,13 @@ def _begin(
         steps_active=zero,
         # Of a stated type, not a weak one: the next call would be compiled once more.
         recent_changes=jnp.full((cascade.rest.window, batch), jnp.inf, jnp.float32),
+        still_steps=zero,
+        unmoved_steps=zero,
         length=zero,
         switch=jnp.zeros((len(cascade.policies), batch), jnp.int32),
         at_rest=false,
         terminated=false,
+        watched=false,
     )
     return status, jax.tree.map(lambda x: x[None], (positions, signals))
 
@@ -254,14 +327,21 @@ def _step(cascade: Cascade, status: _Status) -> tuple[_Status, tuple[Array, dict
         lambda new, old: jnp.where(moving, new, old), (after, transition.signals), (status.state, status.signals)
     )
     length = status.length + moving
-    terminated = status.terminated | (moving & transition.terminated)
+    terminated = status.terminated | (moving & transition.terminated & ~status.watched)
     change = jnp.abs(after.objective - status.state.objective)
     recent_changes = jnp.concatenate([status.recent_changes[1:], change[None]])
+    moves = after.positions - status.state.positions
+    is_still = jnp.all(jnp.sum(moves**2, axis=1) <= (rest.stillness * cascade.world.config.radius) ** 2, axis=0)
+    still_steps = jnp.where(is_still, status.still_steps + 1, 0)
+    unmoved_steps = jnp.where(jnp.all(moves == 0, axis=(0, 1)), status.unmoved_steps + 1, 0)
     steps_active = status.steps_active + moving
     is_last = status.active_policy == len(cascade.policies) - 1
-    tolerance = jnp.where(is_last, rest.tolerance, rest.switch_tolerance)
-    rested = moving & (recent_changes.mean(axis=0) < tolerance) & ~terminated
-    over = rested | (moving & (steps_active >= rest.max_steps))
+    # The last policy comes to rest by itself; somebody who sees the whole swarm ends the others.
+    settled = jnp.where(is_last, still_steps >= rest.window, recent_changes.mean(axis=0) < rest.switch_tolerance)
+    ending = moving & ~status.watched
+    rested = ending & settled & ~terminated
+    over = rested | (ending & (steps_active >= rest.max_steps))
+    hands_over = over & ~is_last
     # The active policy was still at work at this step; the next one, if any, takes over after it.
     index = jnp.arange(len(cascade.policies))[:, None]
     switch = jnp.where(moving & (index >= status.active_policy), length, status.switch)
@@ -271,9 +351,12 @@ def _step(cascade: Cascade, status: _Status) -> tuple[_Status, tuple[Array, dict
         active_policy=status.active_policy + over,
         steps_active=jnp.where(over, 0, steps_active),
         recent_changes=jnp.where(over, jnp.inf, recent_changes),
+        still_steps=jnp.where(hands_over, 0, still_steps),
+        unmoved_steps=jnp.where(moving, jnp.where(hands_over, 0, unmoved_steps), status.unmoved_steps),
         length=length,
         switch=switch,
         at_rest=status.at_rest | (rested & is_last),
         terminated=terminated,
+        watched=status.watched,
     )
     return status, (after.positions, signals)

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from murmurate.discovery.cascade import Cascade
+from murmurate.discovery.cascade import MAX_RECORD_BYTES, Cascade
 from murmurate.discovery.problem import Problem
 from murmurate.discovery.stage import policy_name
 from murmurate.errors import InputError, RunError, check_type
@@ -23,9 +23,6 @@ __all__ = ["MAX_RECORD_BYTES", "MAX_REST_STEPS", "check_training", "rollout"]
 
 MAX_REST_STEPS = 10_000_000
 """Steps after which a policy is cut off, at most: several times as many as a swarm of 1,000 robots has."""
-
-MAX_RECORD_BYTES = 1 << 32
-"""Memory of the positions of a rollout, at most: 10,000 episodes of ten robots, more than 5,000 steps each."""
 
 MAX_STORED_PAIRS = 1 << 30
 """Pairs of robots in all steps between two updates, at most: what each robot sees of each other takes some GiB."""

@@ -52,6 +52,8 @@ class StageConfig:
             of random width and direction (base only).
         hard_share: Share of all training episodes that begin at the start `hard`: crowded, at the walls, in a corner,
             in a tight grid, exactly symmetric or anywhere (base only).
+        motion_cost: What each robot's credit loses in training for a step at the speed limit along an axis, and for a
+            shorter one in proportion; where the swarm learns from one credit, that loses the mean.
         margin: Robots are trained as if their radius and safe distance were larger by this share, so that patterns hold
             with room to spare.
         warm_start: Whether the policy begins with the weights of the one before, all but the spread of its actions
@@ -69,6 +71,7 @@ class StageConfig:
     random_spread: float = 0.05
     symmetric_share: float = 0.0
     hard_share: float = 0.0
+    motion_cost: float = 0.0
     margin: float = 0.0
     warm_start: bool = False
 
@@ -79,6 +82,7 @@ class StageConfig:
         for name in ("horizon", "repeat"):
             check_number(name, getattr(self, name), 1, MAX_INTEGER, integer=True)
         check_number("noise", self.noise, 0, MAX_MAGNITUDE)
+        check_number("motion_cost", self.motion_cost, 0, MAX_MAGNITUDE)
         check_number("margin", self.margin, 0, 10)
         check_number("random_share", self.random_share, 0, 1)
         check_number("symmetric_share", self.symmetric_share, 0, 1)
@@ -239,8 +243,8 @@ class Problem:
     def of_size(self: ProblemT, robots: int) -> ProblemT:
         """Returns the same problem for a swarm of another size, in a world scaled to it.
 
-        In a larger world the objective changes by less where robots move as far: what counts as rest is as much less,
-        must last as much longer, and there is as much more time to come to it.
+        In a larger world the objective changes by less where robots move as far: what ends a policy that another one
+        follows is as much less. Rest must last as much longer, and there is as much more time to come to it.
 
         Raises:
             InputError: There are too few or too many robots.
@@ -250,7 +254,6 @@ class Problem:
         rest = replace(
             rest,
             window=math.ceil(rest.window * factor),
-            tolerance=rest.tolerance / factor,
             switch_tolerance=rest.switch_tolerance / factor,
             max_steps=math.ceil(rest.max_steps * factor),
         )
@@ -266,6 +269,11 @@ class Problem:
         batches = -(-episodes // episodes_at_once(self.world.robots))
         steps = self.world.half_width / self.world.max_speed
         return batches * self.scheduler.period * (steps + policies * self.rest.window)
+
+    @property
+    def least_speed(self) -> float:
+        """The speed below which a robot stands still, world units per step."""
+        return self.rest.dead_zone * self.world.max_speed
 
     @property
     def rest_in_steps(self) -> RestRule:

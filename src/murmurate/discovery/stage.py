@@ -15,13 +15,14 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from murmurate import prng
 from murmurate.discovery.build import build_environment, build_networks
 from murmurate.discovery.curriculum import Curriculum
-from murmurate.discovery.problem import Problem
+from murmurate.discovery.problem import Problem, StageConfig
 from murmurate.learning import LEARNERS, Chunk, Learner, TrainState, init
 from murmurate.world import (
     ActionRepeat,
     HardStart,
     JitteredStart,
     MixtureStart,
+    MotionCost,
     ShortfallReward,
     Start,
     SymmetricStart,
@@ -103,14 +104,19 @@ def _discovery_environment(problem: Problem, index: int, start: Start, sigma: An
     """Every action is kept up for some steps; rewards are the changes of the objective."""
     world = training_world(problem, index, start, sigma)
     # Robots perceive the world as it is: the margin is in the reward and in what counts as contact alone.
-    env = build_environment(problem, world, with_array_leaves(problem.world))
+    env = _with_motion_cost(build_environment(problem, world, with_array_leaves(problem.world)), problem.stage(index))
     return ActionRepeat(env, jnp.asarray(problem.stage(index).repeat, jnp.int32))
 
 
 def _refinement_environment(problem: Problem, index: int, start: Start, sigma: Any) -> Wrapper:
     """Every step costs what the objective of smooth signals lacks."""
     env = build_environment(problem, refinement_world(problem, index, start, sigma))
-    return ShortfallReward(env, with_array_leaves(problem.objective_signals))
+    env = ShortfallReward(env, with_array_leaves(problem.objective_signals))
+    return _with_motion_cost(env, problem.stage(index))
+
+
+def _with_motion_cost(env: World | Wrapper, stage: StageConfig) -> Any:
+    return MotionCost(env, jnp.asarray(stage.motion_cost, jnp.float32)) if stage.motion_cost else env
 
 
 _ENVIRONMENTS = {"ppo": _discovery_environment, "gradients": _refinement_environment}

@@ -6,7 +6,7 @@ Everything is computed in float64 from recorded positions alone; the sides of th
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -23,6 +23,9 @@ __all__ = ["Validity", "bound_steps", "check_validity"]
 
 Flags = Bool[np.ndarray, " episodes"]
 
+DRIFT = 0.25
+"""Radii that a robot ends from where it came to rest, at most, in a pattern that is stationary."""
+
 
 @dataclass(frozen=True, eq=False)
 class Validity:
@@ -35,6 +38,9 @@ class Validity:
         gathered: Every robot neighbours every other at the end.
         safe: No pair is nearer than the safe distance at the end.
         at_rest: The last policy came to rest.
+        stationary: A pattern formed and stayed: after rest, executed for `STATIONARY_STEPS` more steps with nothing
+            frozen, all other conditions hold at every one of them, and no robot ends farther than a quarter of its
+            radius from where it came to rest. False where that was not recorded: nobody has seen the pattern stay.
         signals: Whether each signal with a threshold reaches it at the end, by name.
     """
 
@@ -44,13 +50,19 @@ class Validity:
     gathered: Flags
     safe: Flags
     at_rest: Flags
+    stationary: Flags
     signals: Mapping[str, Flags] = field(default_factory=dict)
+
+    @property
+    def formed(self) -> Flags:
+        """Whether a pattern formed: all of them but that it stayed."""
+        conditions = [self.contact_free, self.inside, self.mutually_visible, self.gathered, self.safe, self.at_rest]
+        return np.logical_and.reduce([*conditions, *self.signals.values()])
 
     @property
     def valid(self) -> Flags:
         """Whether all of them hold: a valid pattern."""
-        conditions = [self.contact_free, self.inside, self.mutually_visible, self.gathered, self.safe, self.at_rest]
-        return np.logical_and.reduce([*conditions, *self.signals.values()])
+        return self.formed & self.stationary
 
 
 def check_validity(
@@ -69,24 +81,59 @@ def check_validity(
     check_type("trajectories", trajectories, Trajectories, "trajectories, such as run.rollout(20)")
     check_world(world)
     _check(trajectories, world)
-    final = np.moveaxis(trajectories.final.astype(float), 0, -1)
-    others = ~np.eye(world.robots, dtype=bool)
-    pairs = _batch_last.neighbors_and_visible(final, world.radius, world.scan_radius)
-    near, seen = (flags[others].all(axis=0) for flags in pairs)
+    thresholds = thresholds or {}
     contact_free, inside = _contact_free_and_inside(trajectories.positions, world)
-    configuration = Configuration(final, world)
-    return Validity(
+    pattern = _pattern(trajectories.final, world, thresholds)
+    validity = Validity(
         contact_free=contact_free,
         inside=inside,
-        mutually_visible=seen,
-        gathered=near,
-        safe=(_batch_last.distances(final)[others] >= world.safe_distance).all(axis=0),
+        mutually_visible=pattern["mutually_visible"],
+        gathered=pattern["gathered"],
+        safe=pattern["safe"],
         at_rest=trajectories.at_rest,
-        signals={
-            name: np.asarray(signal.value(configuration)) >= least
-            for name, (signal, least) in (thresholds or {}).items()
-        },
+        stationary=np.zeros(len(contact_free), bool),
+        signals={name: pattern[f"signals.{name}"] for name in thresholds},
     )
+    return replace(validity, stationary=_stationary(trajectories, validity.formed, world, thresholds))
+
+
+def _pattern(
+    configurations: Float[np.ndarray, "episodes robots 2"],
+    world: WorldConfig,
+    thresholds: Mapping[str, tuple[Signal, float]],
+) -> dict[str, Flags]:
+    """Returns which conditions of a valid pattern hold of configurations, those of signals as `signals.` and a name."""
+    positions = np.moveaxis(configurations.astype(float), 0, -1)
+    others = ~np.eye(world.robots, dtype=bool)
+    near, seen = _batch_last.neighbors_and_visible(positions, world.radius, world.scan_radius)
+    configuration = Configuration(positions, world)
+    return {
+        "mutually_visible": seen[others].all(axis=0),
+        "gathered": near[others].all(axis=0),
+        "safe": (_batch_last.distances(positions)[others] >= world.safe_distance).all(axis=0),
+        **{
+            f"signals.{name}": np.asarray(signal.value(configuration)) >= least
+            for name, (signal, least) in thresholds.items()
+        },
+    }
+
+
+def _stationary(
+    trajectories: Trajectories, formed: Flags, world: WorldConfig, thresholds: Mapping[str, tuple[Signal, float]]
+) -> Flags:
+    """Returns which of the patterns that formed stayed."""
+    if trajectories.after_rest is None:
+        return np.zeros_like(formed)
+    moves = np.concatenate([trajectories.final[:, None], trajectories.after_rest], axis=1)
+    contact_free, inside = _contact_free_and_inside(moves, world)
+    drift = np.linalg.norm(moves[:, -1].astype(float) - moves[:, 0], axis=-1).max(axis=-1)
+    stationary = formed & contact_free & inside & (drift <= DRIFT * world.radius)
+    for step in range(1, moves.shape[1]):
+        changed = np.flatnonzero(stationary & (moves[:, step] != moves[:, step - 1]).any(axis=(1, 2)))
+        if len(changed):
+            flags = _pattern(moves[changed, step], world, thresholds)
+            stationary[changed] = np.logical_and.reduce(list(flags.values()))
+    return stationary
 
 
 def _check(trajectories: Trajectories, world: WorldConfig) -> None:
@@ -98,6 +145,10 @@ def _check(trajectories: Trajectories, world: WorldConfig) -> None:
     if np.shape(trajectories.at_rest) != shape[:1]:
         rest = f"an array {np.shape(trajectories.at_rest)}"
         raise InputError("trajectories.at_rest", rest, f"of shape {shape[:1]}, one for each episode")
+    after = shape if trajectories.after_rest is None else np.shape(trajectories.after_rest)
+    if len(after) != 4 or (after[0], *after[2:]) != (shape[0], *shape[2:]):
+        allowed = f"of shape ({shape[0]}, steps, {world.robots}, 2)"
+        raise InputError("trajectories.after_rest", f"an array {after}", allowed)
 
 
 def _contact_free_and_inside(

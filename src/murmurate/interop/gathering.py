@@ -226,7 +226,8 @@ def make_gathering(keywords: Mapping[str, Any], sensing: Any = None) -> Gatherin
         base=StageConfig(),
         auxiliary=StageConfig(),
         discovery=DiscoveryConfig(),
-        rest=RestRule(),
+        # What another learner decides is executed as it is.
+        rest=RestRule(dead_zone=0.0),
         seed=0,
     )
     start, objective = UniformStart(), problem.objective_signals

@@ -47,8 +47,8 @@ class GradientConfig:
         value_rate_end: The same at the last update.
         reward_scale: Factor on every reward in training.
         max_gradient: Bound on the global norm of each network's gradient.
-        max_state_gradient: Bound on the norm of each episode's gradient by its state, at every step. Where robots almost
-            touch or hide each other, the next steps depend on it without bound, and one episode would drown all others.
+        max_state_gradient: Bound on the norm of each episode's gradient by its state, at every step. Where robots
+            almost touch, the next steps depend on it without bound, and one episode would drown all others.
         weights: Weights in the reward of signals that have a gradient, by name: of the objective, of one's own, or of
             the package; gathering stands for centered (C1) or compact (C2).
     """
@@ -156,7 +156,8 @@ def _limit_forward(state: Any, bound: Any) -> tuple[Any, Any]:
 
 
 def _limit_backward(bound: Any, gradient: Any) -> tuple[Any, None]:
-    square = sum(jnp.sum(leaf**2, axis=tuple(range(leaf.ndim - 1))) for leaf in jax.tree.leaves(gradient))
+    squares = [jnp.sum(leaf**2, axis=tuple(range(leaf.ndim - 1))) for leaf in jax.tree.leaves(gradient)]
+    square = jnp.sum(jnp.stack(squares), axis=0)
     norm = jnp.sqrt(square) * square.shape[-1]
     factor = jnp.where(norm > bound, bound / norm, 1.0)
     usable = jnp.isfinite(square)

@@ -25,6 +25,7 @@ REASONS = {
     "safe": "not safe",
     "gathered": "not gathered",
     "at_rest": "not at rest",
+    "stationary": "not stationary",
 }
 """The conditions of a valid pattern, as evaluation.json names them, and what an episode is that misses one."""
 

@@ -86,11 +86,12 @@ COMPARISON = "comparison.json"
 
 SENSINGS: dict[str, Sensing] = {
     "global": GlobalSensing(rotation=True, reflection=True, walls=True),
-    "visible": VisibleSensing(rotation=True, reflection=True),
-    "chiral": VisibleSensing(rotation=True),
-    "noisy": VisibleSensing(rotation=True, reflection=True, range_noise=0.02, bearing_noise=0.01),
+    "visible": VisibleSensing(rotation=True, reflection=True, walls=True),
+    "chiral": VisibleSensing(rotation=True, walls=True),
+    "noisy": VisibleSensing(rotation=True, reflection=True, range_noise=0.02, bearing_noise=0.01, walls=True),
 }
-"""What robots perceive, by name. None agrees with another on directions, nor, but for `chiral`, on handedness."""
+"""What robots perceive, by name. None agrees with another on directions, nor, but for `chiral`, on handedness. All
+perceive walls, as they do robots."""
 
 SCHEDULERS: dict[str, Scheduler] = {
     "fsync": FsyncScheduler(),
@@ -434,7 +435,10 @@ def _wrong_field(row: Any) -> str | None:
     """Returns the first field of a row of comparison.json that is missing or not what it should be; None if all are."""
     if not isinstance(row, dict):
         return "a value"
-    counts = dict.fromkeys(("valid", "collisions", "left", "hidden", "restless"), row.get("episodes"))
+    names = ("valid", "collisions", "left", "hidden", "restless")
+    if "unsteady" in row:  # version 0.1.0 did not watch patterns after rest
+        names += ("unsteady",)
+    counts = dict.fromkeys(names, row.get("episodes"))
     for name, high in {"robots": MAX_ROBOTS, "episodes": MAX_EPISODES, **counts}.items():
         value, low = row.get(name), 0 if name in counts else {"robots": 2}.get(name, 1)
         if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
@@ -573,6 +577,7 @@ def _evaluate(
         "hidden": int((joined["free"] & ~joined["seen"]).sum()),
         "unsafe": int((joined["free"] & ~joined["safe"]).sum()),
         "restless": int((joined["free"] & ~joined["rest"]).sum()),
+        "unsteady": int((joined["formed"] & ~valid).sum()),
         "steps": mean("steps"),
         "epochs": mean("epochs"),
         "efficiency": mean("efficiency"),
@@ -641,6 +646,7 @@ def _measure(problem: ExperimentConfig, batch: Trajectories) -> dict[str, np.nda
         "seen": validity.mutually_visible,
         "safe": validity.safe,
         "rest": validity.at_rest,
+        "formed": validity.formed,
         "visible": _visible_fraction(batch.final, world),
         "steps": batch.lengths,
         "epochs": batch.epochs,

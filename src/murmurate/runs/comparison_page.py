@@ -14,7 +14,7 @@ __all__ = ["HEADER", "kept", "page", "put_into", "table_rows", "tables"]
 CONDITION = ("start", "sensing", "scheduler", "N", "method")
 """The columns that say what was evaluated."""
 
-FAILURES = ("collided", "left", "hidden", "not at rest")
+FAILURES = ("collided", "left", "hidden", "not at rest", "not stationary")
 """The columns that count what was wrong."""
 
 HEADER = (*CONDITION, "valid", "95% interval", *FAILURES, "steps", "epochs", "efficiency", "gap")
@@ -39,6 +39,7 @@ def table_rows(rows: Iterable[Mapping[str, Any]]) -> list[Row]:
             str(row["left"]),
             str(row["hidden"]),
             str(row["restless"]),
+            str(row.get("unsteady", NONE)),
             _number(row["steps"], "{:.1f}"),
             _number(row["epochs"], "{:.1f}"),
             _number(row["efficiency"], "{:.2f}"),
@@ -55,6 +56,7 @@ def tables(rows: Sequence[Mapping[str, Any]]) -> str:
     share is its heading instead of a column.
     """
     groups: dict[tuple[str, ...], list[Row]] = {}
+    unknown = [] if any("unsteady" in row for row in rows) else [HEADER.index("not stationary")]
     for row in table_rows(rows):
         groups.setdefault(tuple(row[:3] if row[0] == RANDOM else row[:1]), []).append(row)
     parts = []
@@ -63,6 +65,7 @@ def tables(rows: Sequence[Mapping[str, Any]]) -> str:
         # A table needs a column of names.
         shared[CONDITION.index("method")] &= not all(shared)
         columns = [column for column in range(len(HEADER)) if column >= len(CONDITION) or not shared[column]]
+        columns = [column for column in columns if column not in unknown]
         named = zip(CONDITION, group[0], shared, strict=False)
         titles = (_TITLES.get(name, "{}").format(escape.markdown(value)) for name, value, shares in named if shares)
         title = ", ".join(titles)
@@ -99,6 +102,7 @@ def page(
         "and the same step budget. Robots have directions and handedness of their own; only",
         "`circle-central` has a common frame and all positions. Episodes that failed *collided*, *left* the world, had",
         "robots *hidden* from each other at the end, or were *not at rest*; an episode may count in several columns.",
+        *_STAY[: len(_STAY) if any("unsteady" in row for row in rows) else 0],
         "Steps, epochs and efficiency (kinematic bound over steps) are means over the valid episodes, and so is the",
         "gap: how far the objective is below that of the best-known pattern, where there is one, in percent of it.",
         "",
@@ -110,6 +114,11 @@ def page(
     if failures:
         lines += ["", f"![The worst failures]({escape.link(pictures)}failures.png)"]
     return "\n".join(lines) + "\n"
+
+
+_STAY = (
+    "*Not stationary* are patterns that formed and did not stay: in the 200 steps after rest, with nothing frozen.",
+)
 
 
 def kept(text: str) -> str:

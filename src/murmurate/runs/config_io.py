@@ -80,6 +80,9 @@ _DROPPED = {
 }
 """Fields that version 0.1.0 wrote for every kind, by section: the classes that do not have them ignore them there."""
 
+_REMOVED = {"rest": {"tolerance"}}
+"""Fields that version 0.1.0 had, by section: they are read, and mean nothing any more."""
+
 
 @dataclasses.dataclass(frozen=True)
 class Leaf:
@@ -329,6 +332,8 @@ def _build(cls: Any, current: Any, data: Any, where: str, importer: Importer) ->
     values: dict[str, Any] = {}
     for name, value in data.items():
         path = _join(where, name)
+        if name not in kinds and name in _REMOVED.get(where, ()):
+            continue
         if name not in kinds:
             raise InputError(path, value, f"a field of {_known(cls, where)}{suggestion(name, kinds)}")
         values[name] = _field(kinds[name], getattr(current, name, None), value, path, importer)

@@ -108,7 +108,7 @@ class Evaluation:
         trajectories, names = self.trajectories, self.objective.names
         signals = np.stack([trajectories.signals[name] for name in names], axis=-1).astype(np.float32)
         weights = np.array([self.objective.weights[name] for name in names], np.float32)
-        interventions = trajectories.interventions
+        interventions, after_rest = trajectories.interventions, trajectories.after_rest
         return {
             "positions": trajectories.positions.astype(np.float32),
             "lengths": trajectories.lengths.astype(np.int32),
@@ -120,6 +120,7 @@ class Evaluation:
             "terminated": trajectories.terminated.astype(bool),
             "epochs": trajectories.epochs.astype(np.int32),
             **({} if interventions is None else {"interventions": interventions.astype(np.int32)}),
+            **({} if after_rest is None else {"after_rest": after_rest.astype(np.float32)}),
         }
 
     def save(self, folder: str | Path | RunFolder) -> None:
@@ -221,7 +222,7 @@ def _measured(trajectories: Trajectories, validity: Validity) -> dict[str, Any]:
     # A list of one policy has no switch: all steps are the base policy's.
     base = float((trajectories.switch[:, 0] if trajectories.switch.shape[1] else trajectories.lengths).mean())
     interventions = trajectories.interventions
-    conditions = ("contact_free", "inside", "mutually_visible", "gathered", "safe", "at_rest", "valid")
+    conditions = ("contact_free", "inside", "mutually_visible", "gathered", "safe", "at_rest", "stationary", "valid")
     return {
         "episodes": episodes,
         **{name: float(getattr(validity, name).mean()) for name in conditions},

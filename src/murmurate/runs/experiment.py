@@ -32,6 +32,9 @@ __all__ = [
 
 EXPERIMENT = "experiment.toml"
 
+_NOT_WRITTEN = {"rest": {"dead_zone": 0.0}}
+"""What a run was discovered with whose experiment.toml does not say it: that of version 0.1.0 knew no dead zone."""
+
 STARTS = "starts.csv"
 """A run that begins at given positions keeps its own copy of them under this name."""
 
@@ -60,6 +63,7 @@ class ExperimentConfig(Problem):
             raise InputError("name", self.name, "up to 64 letters, digits, spaces and . + - _")
         self._check_signals()
         self._check_sensing()
+        self._check_dead_zone()
         self.shield.prepare(self.scheduler)  # refuses a scheduler that it cannot serve
         if self.sizes:
             self._check_sizes()
@@ -89,6 +93,17 @@ class ExperimentConfig(Problem):
             self.refinement(index)  # refuses weights of signals that there are not
         for name, least in self.valid.items():
             check_number(f"valid.{name}", least)
+
+    def _check_dead_zone(self) -> None:
+        """Refuses a dead zone in which a pattern cannot be corrected.
+
+        Two robots that nearly touch have to move apart by up to the safe distance less two radii; where the dead zone
+        is as wide, robots that want to do just that stand still.
+        """
+        world, room = self.world, self.world.safe_distance - 2 * self.world.radius
+        if self.least_speed >= room:
+            allowed = f"less than {room / world.max_speed:.4g}: a robot could not correct its way to the safe distance"
+            raise InputError("rest.dead_zone", self.rest.dead_zone, allowed)
 
     def _check_sensing(self) -> None:
         """Refuses sensing that the policy does not use, or that cannot serve the objective."""
@@ -220,7 +235,7 @@ def load(folder: str | Path, trusted: bool = False) -> ExperimentConfig:
     try:
         data = config_io.load_toml(files.inside(folder, EXPERIMENT), follow=False)
         _check_own_starts(data, Path(folder))
-        data = _with_absolute_paths(data, Path(folder))
+        data = config_io.merged(_NOT_WRITTEN, _with_absolute_paths(data, Path(folder)))
         return config_io.from_dict(ExperimentConfig, data, importer=make_importer(data, trusted=trusted))
     except InputError as error:
         raise RunError(f"{path}: {error}") from None

@@ -18,6 +18,7 @@ CONDITIONS = {
     "mutually_visible": "not mutually visible",
     "safe": "nearer than the safe distance",
     "at_rest": "not at rest",
+    "stationary": "not stationary",
 }
 
 EXACT = 1e-3
@@ -38,6 +39,9 @@ def describe_failures(experiment: ExperimentConfig, trajectories: Trajectories) 
     failed = np.flatnonzero(~validity.valid)
     if not len(failed):
         return []
+    if trajectories.after_rest is None:
+        count = f"{len(failed)} of {len(validity.valid)} starts failed"
+        return [f"{count}: what follows after rest was not recorded by an older version; evaluate the run again"]
     counts = [f"{count} {text}" for text, count in _counts(validity).items() if count]
     several = " (some in several ways)" if sum(_counts(validity).values()) > len(failed) else ""
     lines = [f"{len(failed)} of {len(validity.valid)} starts failed: {', '.join(counts)}{several}"]
@@ -55,7 +59,10 @@ def describe_failures(experiment: ExperimentConfig, trajectories: Trajectories) 
 
 
 def _counts(validity: Validity) -> dict[str, int]:
-    counts = {text: int((~getattr(validity, name)).sum()) for name, text in CONDITIONS.items()}
+    failed = {name: ~getattr(validity, name) for name in CONDITIONS}
+    # Where no pattern formed, none could stay.
+    failed["stationary"] = validity.formed & ~validity.stationary
+    counts = {text: int(failed[name].sum()) for name, text in CONDITIONS.items()}
     return counts | {f"{name} not reached": int((~reached).sum()) for name, reached in validity.signals.items()}
 
 

@@ -68,7 +68,7 @@ _EVALUATED = (EVALUATION, TRAJECTORIES, RECORD)
 FolderState = Literal["new", "unfinished", "finished"]
 """What a folder holds: nothing yet, a run whose training can be continued, or a finished run."""
 
-_FRACTIONS = ("valid", "contact_free", "inside", "mutually_visible", "gathered", "safe", "at_rest")
+_FRACTIONS = ("valid", "contact_free", "inside", "mutually_visible", "gathered", "safe", "at_rest", "stationary")
 _STEPS = ("base_steps", "auxiliary_steps", "total_steps", "bound_steps")
 _RENAMED = {
     "world": "inner",
@@ -490,6 +490,7 @@ class RunFolder:
         summary = files.read_json_object(path)
         if "collision_free" in summary:  # version 0.1.0 counted contact and leaving the world together
             summary |= {"contact_free": summary["collision_free"], "inside": summary["collision_free"]}
+        summary.setdefault("stationary", None)  # what version 0.1.0 did not measure
         if isinstance(summary.get("starts"), str):
             kind = summary["starts"] if summary["starts"] in ("fresh", "given") else "file"
             summary["starts"] = {"kind": kind} | ({"name": summary["starts"]} if kind == "file" else {})
@@ -517,7 +518,8 @@ class RunFolder:
             config: The run's configuration, which they must be of.
 
         Returns:
-            The episodes. Version 0.1.0 did not record `terminated` and `epochs`: there they are false, and the lengths.
+            The episodes. Version 0.1.0 did not record `terminated` and `epochs`: there they are false, and the lengths;
+            nor `after_rest`, without which no pattern counts as stationary.
 
         Raises:
             RunError: They are missing, damaged, not of this experiment, or not finite.
@@ -531,7 +533,7 @@ class RunFolder:
         def check(headers: dict[str, files.ArrayHeader]) -> None:
             _check_headers(path, headers, episodes, robots)
 
-        arrays = files.read_npz(path, (*_REQUIRED, "terminated", "epochs", "interventions"), check)
+        arrays = files.read_npz(path, (*_REQUIRED, "terminated", "epochs", "interventions", "after_rest"), check)
         self._check_evaluated(TRAJECTORIES)
         positions, names = arrays["positions"], [str(name) for name in arrays["signal_names"]]
         if config is not None and (names, positions.shape[2]) != (list(config.signal_names), config.world.robots):
@@ -540,7 +542,9 @@ class RunFolder:
         lengths, signals = arrays["lengths"].astype(int), arrays["signals"]
         if lengths.min() < 0 or lengths.max() >= positions.shape[1]:
             raise RunError(f"{path} has lengths that are not from 0 to {positions.shape[1] - 1}")
-        if not (np.isfinite(positions).all() and np.isfinite(signals).all()):
+        after_rest = arrays.get("after_rest")
+        recorded = (positions, signals, *([] if after_rest is None else [after_rest]))
+        if not all(np.isfinite(array).all() for array in recorded):
             raise RunError(f"{path} has positions or signals that are not finite: the training diverged")
         if len(set(names)) < len(names):
             raise RunError(f"{path} has signal_names = {shown(names)}, which are not different from each other")
@@ -552,6 +556,7 @@ class RunFolder:
             terminated=arrays.get("terminated", np.zeros(len(lengths), bool)),
             epochs=arrays.get("epochs", lengths).astype(int),
             interventions=arrays.get("interventions"),
+            after_rest=after_rest,
             signals={name: signals[..., index] for index, name in enumerate(names)},
         )
 
@@ -624,6 +629,7 @@ def _check_headers(path: Path, headers: dict[str, files.ArrayHeader], episodes: 
         have = headers["positions"]
         raise RunError(f"{path} has positions as {have}, not as float32[episodes, steps + 1, robots, 2]")
     names, switch = headers["signal_names"].shape, headers["switch"].shape
+    after = headers["after_rest"].shape if "after_rest" in headers else ()
     expected = {
         "lengths": ("iu", shape[:1]),
         "switch": ("iu", (shape[0], switch[-1] if switch else 0)),
@@ -633,6 +639,7 @@ def _check_headers(path: Path, headers: dict[str, files.ArrayHeader], episodes: 
         "terminated": ("b", shape[:1]),
         "epochs": ("iu", shape[:1]),
         "interventions": ("iu", shape[:1]),
+        "after_rest": ("f", (shape[0], after[1] if len(after) > 1 else 0, *shape[2:])),
     }
     for name, (kinds, wanted) in expected.items():
         if name in headers and (headers[name].shape != wanted or headers[name].dtype.kind not in kinds):

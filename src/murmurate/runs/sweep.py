@@ -26,7 +26,7 @@ PARQUET = "results.parquet"
 
 Row = dict[str, Any]
 
-FRACTIONS = ("valid", "contact_free", "inside", "mutually_visible", "gathered", "safe", "at_rest")
+FRACTIONS = ("valid", "contact_free", "inside", "mutually_visible", "gathered", "safe", "at_rest", "stationary")
 MEANS = ("base_steps", "auxiliary_steps", "total_steps", "bound_steps", "efficiency", "best_known", "gap")
 
 MEASURED = (

@@ -4,7 +4,9 @@ from murmurate.types import Observation, Transition, View
 from murmurate.world.config import MAX_ROBOTS, WorldConfig, check_pairs, check_world, scaled_to, with_array_leaves
 from murmurate.world.env import (
     ActionRepeat,
+    DeadZone,
     LocalObservation,
+    MotionCost,
     ObservedState,
     ScheduledState,
     SchedulerWrapper,
@@ -12,6 +14,7 @@ from murmurate.world.env import (
     State,
     World,
     Wrapper,
+    without_slow,
 )
 from murmurate.world.hard_starts import ClusterStart, CornerStart, HardStart, TightGridStart, WallsStart, WallStart
 from murmurate.world.scheduling import (
@@ -55,6 +58,7 @@ __all__ = [
     "Compact",
     "Configuration",
     "CornerStart",
+    "DeadZone",
     "DistributedStart",
     "Exposed",
     "Family",
@@ -66,6 +70,7 @@ __all__ = [
     "JitteredStart",
     "LocalObservation",
     "MixtureStart",
+    "MotionCost",
     "Objective",
     "Observation",
     "ObservedState",
@@ -108,4 +113,5 @@ __all__ = [
     "scaled_to",
     "start_set",
     "with_array_leaves",
+    "without_slow",
 ]

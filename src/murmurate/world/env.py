@@ -28,7 +28,9 @@ from murmurate.world.tiles import in_tiles
 
 __all__ = [
     "ActionRepeat",
+    "DeadZone",
     "LocalObservation",
+    "MotionCost",
     "ObservedState",
     "ScheduledState",
     "SchedulerWrapper",
@@ -37,6 +39,7 @@ __all__ = [
     "World",
     "WrappedState",
     "Wrapper",
+    "without_slow",
 ]
 
 
@@ -118,6 +121,16 @@ class World(eqx.Module):
         check_type("start", start, Start, "a start, such as UniformStart()")
         signals = objective_signals(objective) if isinstance(objective, str) else objective
         return cls(config, Objective(signals, weights), start.prepare(config), horizon, per_robot_credit)
+
+    @property
+    def period(self) -> int:
+        """Steps within which every robot completes a cycle: one, without a scheduler."""
+        return 1
+
+    @property
+    def keeps_rest(self) -> bool:
+        """Whether a robot that sees the same again decides the same again: nothing is random here."""
+        return True
 
     def __repr__(self) -> str:
         return f"World({self.config.robots} robots, objective of {', '.join(self.objective.names)})"
@@ -235,6 +248,16 @@ class Wrapper(eqx.Module):
         """Where episodes begin."""
         return self.env.start
 
+    @property
+    def period(self) -> int:
+        """Steps within which every robot completes a cycle."""
+        return self.env.period
+
+    @property
+    def keeps_rest(self) -> bool:
+        """Whether robots that see the same again decide the same again, as far as that is known."""
+        return self.env.keeps_rest
+
     def signals(self, positions: Float[Array, "robots 2 *batch"]) -> dict[str, Float[Array, "*batch"]]:
         """Returns the signals of configurations by name."""
         return self.env.signals(positions)
@@ -309,6 +332,51 @@ class ShortfallReward(Wrapper):
         return after, Transition(reward, transition.terminated, transition.truncated, signals, reward[None])
 
 
+class DeadZone(Wrapper):
+    """Robots whose policy wants a slow move stand still: that is how a swarm comes to rest by itself.
+
+    Attributes:
+        least_speed: Moves that are slower than this are not begun, world units per step.
+    """
+
+    least_speed: Any
+
+    def step(self, state: Any, action: Float[Array, "robots 2 *batch"]) -> tuple[Any, Any]:
+        """Stops the slow robots and advances every episode by one step."""
+        return self.env.step(state, without_slow(action, self.least_speed))
+
+
+def without_slow(velocities: Float[Array, "robots 2 *batch"], least_speed: Any) -> Float[Array, "robots 2 *batch"]:
+    """Returns velocities of which those whose length is less than `least_speed` are exactly 0."""
+    is_slow = jnp.sum(velocities**2, axis=1, keepdims=True) < least_speed**2
+    # Gradients pass as if nothing were stopped: a robot that stands still would never learn to set out.
+    return velocities - jax.lax.stop_gradient(jnp.where(is_slow, velocities, 0.0))
+
+
+class MotionCost(Wrapper):
+    """Training in which motion costs a little: what an action learns from, its credit, loses by how far robots went.
+
+    Where credit is given robot by robot, each pays for its own way; else the swarm pays for the mean. The reward, which
+    is recorded, stays the change of the objective.
+
+    Attributes:
+        cost: Cost of a step at the speed limit along an axis.
+    """
+
+    cost: Any
+
+    def step(self, state: Any, action: Float[Array, "robots 2 *batch"]) -> tuple[Any, Transition]:
+        """Advances every episode by one step."""
+        after, transition = self.env.step(state, action)
+        squared = jnp.sum((after.positions - state.positions) ** 2, axis=1)
+        # The gradient of the square root at 0 is not finite.
+        distance = jnp.where(squared > 0, jnp.sqrt(jnp.where(squared > 0, squared, 1.0)), 0.0)
+        cost = self.cost * distance / self.config.max_speed
+        if transition.credit.shape != cost.shape:
+            cost = jnp.mean(cost, axis=0, keepdims=True)
+        return after, eqx.tree_at(lambda t: t.credit, transition, transition.credit - cost)
+
+
 class ObservedState(WrappedState):
     """A state together with how each robot looks at it.
 
@@ -333,6 +401,11 @@ class LocalObservation(Wrapper):
 
     sensing: Sensing
     world: WorldConfig
+
+    @property
+    def keeps_rest(self) -> bool:
+        """Whether robots see a configuration alike every time."""
+        return self.sensing.is_constant and self.env.keeps_rest
 
     def reset_batch(self, key: PRNGKeyArray, batch: int) -> ObservedState:
         """Begins a batch of episodes, each at a fresh start and with fresh frames."""
@@ -405,6 +478,16 @@ class SchedulerWrapper(Wrapper):
     """
 
     scheduler: Scheduler
+
+    @property
+    def period(self) -> int:
+        """Steps within which every robot completes a cycle."""
+        return self.scheduler.period
+
+    @property
+    def keeps_rest(self) -> bool:
+        """Whether every robot looks within the scheduler's period, as far as that is known."""
+        return not self.scheduler.is_foreign() and self.env.keeps_rest
 
     def reset_batch(self, key: PRNGKeyArray, batch: int) -> ScheduledState:
         """Begins a batch of episodes, each at a fresh start, every robot somewhere in its cycle."""

@@ -70,10 +70,14 @@ class Sensing(Strategy):
         bearing_noise: Standard deviation of a perceived direction, radians.
         miss_probability: Probability that a robot that could be perceived is not.
         landmark: Whether something marks the gathering point, so that robots perceive it, however far (C1).
-        walls: Whether robots perceive the four walls, however far.
+        walls: Whether robots perceive the four walls: however far, or within the scan radius where they see no farther.
+            Of a wall that is farther away they perceive the direction, and that it is as far at least.
     """
 
     section: ClassVar[str] = "sensing"
+
+    sees_far: ClassVar[bool] = False
+    """Whether walls are perceived beyond the scan radius."""
 
     rotation: bool = eqx.field(default=False, static=True, kw_only=True)
     reflection: bool = eqx.field(default=False, static=True, kw_only=True)
@@ -92,6 +96,12 @@ class Sensing(Strategy):
         check_number("miss_probability", self.miss_probability, 0, 1)
         if self.miss_probability == 1:
             raise InputError("miss_probability", 1.0, "less than 1: a robot that perceives no other learns nothing")
+
+    @property
+    def is_constant(self) -> bool:
+        """Whether a robot sees a configuration alike every time; of a class of a user's own that is not known."""
+        is_noisy = self.range_noise > 0 or self.bearing_noise > 0 or self.miss_probability > 0
+        return not (is_noisy or self.resample_frames or self.is_foreign())
 
     @abstractmethod
     def perceived(self, configuration: Configuration) -> Bool[Array, "robots robots *batch"]:
@@ -151,7 +161,7 @@ class Sensing(Strategy):
             radius=world.radius / frames.unit,
             landmark_x=landmark_x / frames.unit,
             landmark_y=landmark_y / frames.unit,
-            walls=nearest_wall_points(positions, frames, world) if self.walls else None,
+            walls=nearest_wall_points(positions, frames, world, self.sees_far) if self.walls else None,
         )
 
     def _with_noise(self, dx: Array, dy: Array, seen: Array, keys: Key[Array, "*batch"]) -> tuple[Array, Array, Array]:
@@ -176,6 +186,8 @@ class Sensing(Strategy):
 @Sensing.register("global")
 class GlobalSensing(Sensing):
     """Every robot perceives all others: the paper's sensing."""
+
+    sees_far: ClassVar[bool] = True
 
     def perceived(self, configuration: Configuration) -> Bool[Array, "robots robots *batch"]:
         """Returns True for all."""
@@ -202,12 +214,13 @@ class VisibleSensing(Sensing):
 
 
 def nearest_wall_points(
-    positions: Float[Array, "robots 2 *batch"], frames: Frames, world: WorldConfig
+    positions: Float[Array, "robots 2 *batch"], frames: Frames, world: WorldConfig, sees_far: bool
 ) -> Float[Array, "robots 4 2 *batch"]:
     """Returns the nearest point of the right, upper, left and lower wall, as each robot perceives it."""
+    reach = jnp.inf if sees_far else world.scan_radius
     x, y = positions[:, 0], positions[:, 1]
     zero = jnp.zeros_like(x)
-    right, left = world.half_width - x, -world.half_width - x
-    upper, lower = world.half_height - y, -world.half_height - y
+    right, left = jnp.minimum(world.half_width - x, reach), jnp.maximum(-world.half_width - x, -reach)
+    upper, lower = jnp.minimum(world.half_height - y, reach), jnp.maximum(-world.half_height - y, -reach)
     offsets = ((right, zero), (zero, upper), (left, zero), (zero, lower))
     return jnp.stack([jnp.stack(frames.to_local(*offset), axis=1) / frames.unit[:, None] for offset in offsets], axis=1)

@@ -26,6 +26,7 @@ from murmurate.interop.onnx import programs
 from murmurate.interop.onnx.programs import Program
 from murmurate.runs.run import Run
 from murmurate.types import Observation, View
+from murmurate.world import without_slow
 
 try:
     import jax2onnx
@@ -228,8 +229,9 @@ def _samples(
 def _velocities(run: Run, index: int, positions: np.ndarray) -> np.ndarray:
     """Returns what a policy that acts on all positions does in the run's world."""
     policy, shield, world = run.cascade.policies[index], run.experiment.prepared_shield, run.experiment.world
+    least_speed = run.experiment.least_speed
     seen = jnp.moveaxis(jnp.asarray(positions), 0, -1)
-    velocities = jax.jit(lambda seen: shield(policy(seen), seen, world))(seen)
+    velocities = jax.jit(lambda seen: shield(without_slow(policy(seen), least_speed), seen, world))(seen)
     return np.moveaxis(np.asarray(velocities), -1, 0).clip(-world.max_speed, world.max_speed)
 
 
@@ -246,7 +248,8 @@ def _views_and_velocities(
         frames = sensing.draw_frames(keys, world.robots)
         view = sensing.view(positions, frames, keys, world)
         observation = Observation(view, positions, jnp.zeros_like(positions[:, 0]))
-        return view, experiment.prepared_shield(policy(observation), observation, world)
+        wanted = without_slow(policy(observation), experiment.least_speed)
+        return view, experiment.prepared_shield(wanted, observation, world)
 
     positions = np.moveaxis(_positions(run, world.robots, count, rng), 0, -1).astype(np.float32)
     keys = jax.random.split(prng.key(rng.integers(2**32)), count)
@@ -331,10 +334,11 @@ def _memory(run: Run, positions: np.ndarray, width: int, rng: np.random.Generato
     rest, count = run.experiment.rest_in_steps, len(positions)
     active_policy = rng.integers(0, len(run.cascade.policies) + 1, count)
     steps_active = rng.integers(0, 2 * rest.window, count)
-    changes = rest.switch_tolerance * rng.uniform(0, 2, (count, width - 2))
+    still_steps = rng.integers(0, 2 * rest.window, count)
+    changes = rest.switch_tolerance * rng.uniform(0, 2, (count, width - 3))
     # The objective of the step before differs from the present one by the first of these changes.
     before = programs.objective(run, positions) - changes[:, 0]
-    return np.column_stack([active_policy, steps_active, before, changes[:, 1:]])
+    return np.column_stack([active_policy, steps_active, still_steps, before, changes[:, 1:]])
 
 
 @contextlib.contextmanager

@@ -5,9 +5,9 @@
   `(batch, others, 2)`, in its own frame.
 - A cascade: the velocities of its active policy, and the memory to pass to the next step.
 
-The shield of a run is part of its programs. Its scheduler is not: it says when a robot looks, and then the robot runs
-the model. A program that contains classes of a user's own is for swarms of the run's own size, because such a class
-need not work with a symbolic number of robots.
+The dead zone and the shield of a run are part of its programs. Its scheduler is not: it says when a robot looks, and
+then the robot runs the model. A program that contains classes of a user's own is for swarms of the run's own size,
+because such a class need not work with a symbolic number of robots.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from murmurate.errors import InputError
 from murmurate.registry import Strategy
 from murmurate.runs.run import Run
 from murmurate.types import Observation, View
-from murmurate.world import Configuration, Objective, WorldConfig
+from murmurate.world import Configuration, Objective, WorldConfig, without_slow
 
 __all__ = ["MAX_ROBOTS", "MIN_ROBOTS", "TABLE_SHAPE", "Program", "cascade_program", "objective", "policy_program"]
 
@@ -40,7 +40,7 @@ MAX_ROBOTS = 256
 POSITIONS = "of all robots, world units"
 VELOCITIES = "world units per step, within the speed limit"
 
-_ACTIVE_POLICY, _STEPS_ACTIVE, _OBJECTIVE, _CHANGES = 0, 1, 2, 3
+_ACTIVE_POLICY, _STEPS_ACTIVE, _STILL_STEPS, _OBJECTIVE, _CHANGES = 0, 1, 2, 3, 4
 """Columns of a cascade's memory; the recent changes of the objective fill the rest."""
 
 
@@ -124,11 +124,13 @@ def cascade_program(run: Run) -> Program:
         inner, size = _batch_last(positions), sizes(positions.shape[1])
         world = _world(run, size)
         value = _objective(run, inner, world)
-        active_policy, steps_active, changes = _recall(memory, value, count, size)
+        active_policy, steps_active, still_steps, changes = _recall(memory, value, count, size)
         velocities = jnp.zeros_like(inner)
         for index, policy in enumerate(policies):
             velocities = jnp.where(active_policy == index, _shielded(run, policy, inner, world), velocities)
-        columns = [active_policy, steps_active + (active_policy < count), value]
+        farthest = jnp.max(jnp.sum(velocities**2, axis=1), axis=0)
+        still_steps = jnp.where(farthest <= (experiment.rest.stillness * world.radius) ** 2, still_steps + 1, 0.0)
+        columns = [active_policy, steps_active + (active_policy < count), still_steps, value]
         after = jnp.concatenate([jnp.stack(columns, axis=1), changes], axis=1)
         return _batch_first(velocities), after
 
@@ -181,7 +183,8 @@ def _view_program(run: Run, index: int, foreign: Mapping[str, Strategy]) -> Prog
         # NaN in place of what a robot cannot know: a policy that uses it is found out by its velocity.
         unknown = jnp.full((1, 2, *ones.shape[1:]), jnp.nan, x.dtype)
         observation = Observation(view, unknown, unknown[:, 0])
-        velocity = experiment.prepared_shield(policy(observation), observation, world)
+        wanted = without_slow(policy(observation), experiment.least_speed)
+        velocity = experiment.prepared_shield(wanted, observation, world)
         return (jnp.transpose(velocity[0]),)
 
     return Program(act, inputs, ("velocity",), _metadata(run, str(index), **about), foreign, index)
@@ -193,7 +196,6 @@ class _Size(NamedTuple):
     half_width: Any
     half_height: Any
     scan_radius: Any
-    tolerance: Any
     switch_tolerance: Any
     max_steps: Any
     window: Any
@@ -210,7 +212,7 @@ def _sizes(run: Run, foreign: Mapping[str, Strategy]) -> Callable[[Any], _Size]:
     def size(problem: Any) -> _Size:
         rest, world = problem.rest_in_steps, problem.world
         sides = (world.half_width, world.half_height, world.scan_radius)
-        return _Size(*sides, rest.tolerance, rest.switch_tolerance, rest.max_steps, rest.window)
+        return _Size(*sides, rest.switch_tolerance, rest.max_steps, rest.window)
 
     if isinstance(_robots(run, foreign), int):
         fixed = size(experiment)
@@ -247,31 +249,34 @@ def _foreign(**parts: Strategy) -> dict[str, Strategy]:
 def _shielded(
     run: Run, policy: Any, positions: Float[Array, "robots 2 batch"], world: WorldConfig
 ) -> Float[Array, "robots 2 batch"]:
-    """Returns the velocities of a policy as they are executed: after the shield, within the speed limit."""
-    velocities = run.experiment.prepared_shield(policy(positions), positions, world)
+    """Returns the velocities of a policy as they are executed: after dead zone and shield, within the speed limit."""
+    wanted = without_slow(policy(positions), run.experiment.least_speed)
+    velocities = run.experiment.prepared_shield(wanted, positions, world)
     return jnp.clip(velocities, -world.max_speed, world.max_speed)
 
 
-def _recall(memory: Array, objective: Array, count: int, size: _Size) -> tuple[Array, Array, Array]:
-    """Returns the active policy, for how many steps it has been active, and the recent changes of the objective.
+def _recall(memory: Array, objective: Array, count: int, size: _Size) -> tuple[Array, Array, Array, Array]:
+    """Returns the active policy, for how many steps it has been active and all robots still, and the recent changes.
 
-    This is the rule of `discovery.cascade`, one step later: a change is known with the next configuration.
+    This is the rule of `discovery.cascade`, one step later: a change is known with the next configuration. How far
+    robots move is what the policy decides.
     """
     active_policy, steps_active = memory[:, _ACTIVE_POLICY], memory[:, _STEPS_ACTIVE]
     changes = memory[:, _CHANGES:]
     change = jnp.abs(objective - memory[:, _OBJECTIVE])
     has_moved = steps_active > 0
     shifted = jnp.concatenate([changes[:, 1:], change[:, None]], axis=1)
-    is_last = active_policy == count - 1
-    tolerance = jnp.where(is_last, size.tolerance, size.switch_tolerance)
+    still_steps, is_last = memory[:, _STILL_STEPS], active_policy == count - 1
     width = shifted.shape[1]
     in_window = jnp.arange(width) >= width - size.window
     mean = jnp.sum(jnp.where(in_window, shifted, 0.0), axis=1) / size.window
-    rested = (steps_active >= size.window) & (mean < tolerance)
+    settled = (steps_active >= size.window) & (mean < size.switch_tolerance)
+    rested = (is_last & (still_steps >= size.window)) | (~is_last & settled)
     over = has_moved & (active_policy < count) & (rested | (steps_active >= size.max_steps))
     return (
         active_policy + over,
         jnp.where(over, 0.0, steps_active),
+        jnp.where(over, 0.0, still_steps),
         jnp.where(has_moved[:, None], shifted, changes),
     )
 
