@@ -2,8 +2,9 @@
 
 python -m benchmarks.pretrained [--runs runs] [--only-finished]
 
-Each folder of src/murmurate/pretrained holds the experiment.toml that its weights are trained by; what is finished in
-the runs folder is reused.
+Each folder of src/murmurate/pretrained holds the experiment.toml that its weights are trained by. Those that the
+learner gradients refines begin with the policy that discovery-C1.toml or discovery-C2.toml beside this file discovers.
+What is finished in the runs folder is reused.
 """
 
 from __future__ import annotations
@@ -17,7 +18,9 @@ from murmurate.runs.execute import InProcess, run_jobs
 from murmurate.runs.folder import MANIFEST, METRICS, RunFolder
 from murmurate.runs.grid import Grid
 from murmurate.runs.jobs import training_jobs
+from murmurate.runs.presets import resolve
 from murmurate.runs.pretrained import FOLDER
+from murmurate.runs.run import Run
 
 EVERY = 10
 """Of the metrics, the package holds one row in so many: enough to draw how training went."""
@@ -45,8 +48,18 @@ def main() -> None:
     folders = sorted(path.parent for path in FOLDER.glob(f"*/*/{experiment.EXPERIMENT}"))
     names = {f"pretrained-{to.parent.name}-{to.name}": to for to in folders}
     if not options.only_finished:
-        grid = Grid({name: experiment.load(to) for name, to in names.items()})
-        run_jobs(training_jobs(grid, options.runs), InProcess())
+        configs = {name: experiment.load(to) for name, to in names.items()}
+        refined = {name for name, config in configs.items() if config.base.learner == "gradients"}
+        found = {
+            config.objective: f"discovery-{config.objective}" for name, config in configs.items() if name in refined
+        }
+        discoveries = {name: resolve(Path(__file__).parent / f"{name}.toml") for name in found.values()}
+        plain = {name: config for name, config in configs.items() if name not in refined}
+        run_jobs(training_jobs(Grid(discoveries | plain), options.runs), InProcess())
+        for objective, discovery in found.items():
+            begun = Grid({name: configs[name] for name in refined if configs[name].objective == objective})
+            initial = Run.open(options.runs / discovery)
+            run_jobs(training_jobs(begun, options.runs, initial=initial), InProcess())
     for name, to in names.items():
         pack(options.runs / name, to)
         print(f"packed {name}: {sum(path.stat().st_size for path in to.rglob('*') if path.is_file())} bytes")
