@@ -161,7 +161,7 @@ def _contact_free_and_inside(
     for step in range(1, positions.shape[1]):
         after = np.moveaxis(positions[:, step].astype(float), 0, -1)
         contact_free &= ~_batch_last.any_contact(now, after - now, world.radius)
-        inside &= ~_batch_last.any_outside(after, *world.bounds)
+        inside &= ~_batch_last.any_outside(after, *world.limits)
         now = after
     return contact_free, inside
 

@@ -115,7 +115,7 @@ class Gathering:
     @property
     def position_bounds(self) -> Float[np.ndarray, "2"]:
         """Greatest |x| and |y| of a centre: a robot that leaves the world is at most one step outside."""
-        return self.config.bounds + np.float32(self.config.max_speed)
+        return self.config.limits + np.float32(self.config.max_speed)
 
     @property
     def action_bound(self) -> np.float32:

@@ -207,7 +207,7 @@ class Waypoints:
 
 def _is_passable(positions: Float[np.ndarray, "configurations robots 2"], experiment: ExperimentConfig) -> bool:
     world = experiment.world
-    inside = ~any_outside(positions, *map(float, world.bounds)).any()
+    inside = ~any_outside(positions, *map(float, world.limits)).any()
     return bool(
         inside and _nearest(positions, np.ones(len(positions) - 1), np.diff(positions, axis=0)) > 2 * world.radius
     )

@@ -156,6 +156,8 @@ def _camera(
     final_low, final_high = positions[-1].min(axis=0) - margin, positions[-1].max(axis=0) + margin
     center, final = (final_low + final_high) / 2, half_sides(final_low, final_high)
     edge = 1.04 * np.array([world.half_width, world.half_height])
+    if not world.bounded:
+        edge = np.maximum(edge, np.abs(positions).max(axis=(0, 1)) + margin)
     whole = half_sides(-edge, edge)
     shares = np.zeros(len(positions))
     for side in (1, -1):

@@ -40,6 +40,7 @@ from murmurate.plots.swarm import (
     show_window,
     sight_pairs,
     window,
+    world_half_side,
 )
 
 __all__ = [
@@ -235,7 +236,7 @@ def _draw_panels(figure: Figure, recording: Recording, episode: Episode, bottom:
 def _draw_start(ax: Axes, recording: Recording, episode: Episode, pattern: tuple[np.ndarray, float]) -> None:
     """Draws the whole world with the start, all paths, and the square that the patterns show."""
     world = recording.experiment.world
-    show_window(ax, np.zeros(2), max(world.half_width, world.half_height))
+    show_window(ax, np.zeros(2), world_half_side(world, episode.positions))
     ax.set_frame_on(False)
     draw_world(ax, world, clip=False)
     draw_paths(ax, episode.positions, episode.policies, oldest=0.35, width=0.7)

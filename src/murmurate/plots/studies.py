@@ -36,7 +36,7 @@ from murmurate.plots.style import (
     separate_labels,
     style_axes,
 )
-from murmurate.plots.swarm import SwarmArtist, draw_paths, draw_robots, draw_world, show_window
+from murmurate.plots.swarm import SwarmArtist, draw_paths, draw_robots, draw_world, show_window, world_half_side
 from murmurate.world import WorldConfig
 
 __all__ = ["Growth", "PaperPoint", "comparison_figure", "failures_figure", "growth_figure", "patterns_figure"]
@@ -88,7 +88,7 @@ def _draw_final_pattern(
     final = episode.positions[-1]
     ax = add_axes(figure, *corner, side, side)
     draw_pattern(ax, recording, episode, episode.steps, pattern_window(recording, final))
-    small, half = 0.58, max(world.half_width, world.half_height)
+    small, half = 0.58, world_half_side(world, episode.positions)
     inset = add_axes(figure, corner[0] + side - small, corner[1] + side + 0.07, small, small)
     show_window(inset, np.zeros(2), half)
     inset.set_frame_on(False)

@@ -38,6 +38,7 @@ __all__ = [
     "show_window",
     "sight_pairs",
     "window",
+    "world_half_side",
 ]
 
 
@@ -248,11 +249,21 @@ def show_window(ax: Axes, center: np.ndarray, half: float) -> None:
 
 
 def draw_world(ax: Axes, world: WorldConfig, *, clip: bool = True, width: float = 1.0, color: str = SIGHT) -> Rectangle:
-    """Draws the edge of the world; without `clip`, axes that end there do not cut the line in half."""
+    """Draws the edge of the world; without `clip`, axes that end there do not cut the line in half.
+
+    The whole plane has none: there it is not visible.
+    """
     low, size = (-world.half_width, -world.half_height), (2 * world.half_width, 2 * world.half_height)
     edge = Rectangle(low, *size, fill=False, edgecolor=color, linewidth=width, zorder=0.5, clip_on=clip)
+    edge.set_visible(world.bounded)
     ax.add_patch(edge)
     return edge
+
+
+def world_half_side(world: WorldConfig, positions: np.ndarray) -> float:
+    """Returns the half side of a square around the origin that shows the world, or all of a swarm in the plane."""
+    half = max(world.half_width, world.half_height)
+    return half if world.bounded else max(half, float(np.abs(positions).max()) + world.radius)
 
 
 def draw_scale(ax: Axes, length: float, text: str, size: float) -> None:

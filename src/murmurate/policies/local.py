@@ -25,7 +25,6 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from murmurate.errors import InputError
 from murmurate.geometry._batch_last import sum_terms
 from murmurate.policies.base import Policy, PolicyNetwork
 from murmurate.policies.equivariant import SharedPolicy, ValueHead
@@ -120,7 +119,10 @@ class LocalNetwork(PolicyNetwork):
         outline = hull(around.ux, around.uy, jnp.sqrt(square) / world.radius, seen)
         robots = [_compressed(around.robot), outline.robot]
         walls = None if view.walls is None else view.walls * scale[:, None, None]
-        robots += [] if self.to_walls is None else [jnp.sum(self._near_walls(walls), axis=2)]
+        if self.to_walls is not None:
+            # In the whole plane there are none: that looks as walls do that are far away.
+            none = jnp.zeros((self.basis, *scale.shape), scale.dtype)
+            robots.append(none if walls is None else jnp.sum(self._near_walls(walls), axis=2))
         nodes = jnp.tanh(self.node(jnp.concatenate(robots)))
         pairs = jnp.concatenate([_compressed(around.pair), outline.pair])
         edges = jnp.tanh(self.pair(pairs) + self.mine(nodes)[:, :, None])
@@ -137,10 +139,8 @@ class LocalNetwork(PolicyNetwork):
         velocity = bounded(vx, vy, world.max_speed)
         return velocity if walls is None else limit_wall_approach(velocity, walls)
 
-    def _near_walls(self, walls: Any) -> Float[Array, "basis robots 4 *batch"]:
+    def _near_walls(self, walls: Array) -> Float[Array, "basis robots 4 *batch"]:
         """Returns the radial basis of the distance of each wall, faded out beyond `WALL_REACH`."""
-        if walls is None:
-            raise InputError("sensing.walls", False, "true with policy.walls: robots act on walls that they perceive")
         distance = wall_directions(walls)[1] / self.world.safe_distance
         return jnp.exp(-((distance / WALL_REACH) ** 2)) * radial_basis(jnp.log(distance + 0.02), self.basis)
 

@@ -106,6 +106,8 @@ def _walls(observation: Any, world: WorldConfig) -> Float[Array, "robots 4 2 *ba
     if isinstance(observation, Observation):
         view = observation.view
         return None if view.walls is None else view.walls * (world.radius / view.radius)[:, None, None]
+    if not world.bounded:
+        return None
     x, y = observation[:, 0], observation[:, 1]
     zero = jnp.zeros_like(x)
     right, left = world.half_width - x, -world.half_width - x

@@ -657,7 +657,7 @@ def _measure(problem: ExperimentConfig, batch: Trajectories) -> dict[str, np.nda
 
 
 def _left(final: Float[np.ndarray, "episodes robots 2"], world: WorldConfig) -> np.ndarray:
-    return np.asarray((np.abs(final) > world.bounds).any(axis=(1, 2)))
+    return np.asarray((np.abs(final) > world.limits).any(axis=(1, 2)))
 
 
 def _visible_fraction(final: Float[np.ndarray, "episodes robots 2"], world: WorldConfig) -> np.ndarray:

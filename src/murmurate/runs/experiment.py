@@ -13,6 +13,7 @@ from murmurate import prng, untrusted
 from murmurate.discovery import MAX_REST_STEPS, Problem
 from murmurate.discovery.problem import GATHERING
 from murmurate.errors import InputError, RunError, check_choice, check_number, check_path, check_type, shown
+from murmurate.policies import LocalPolicy
 from murmurate.registry import Importer, source_folder
 from murmurate.runs import config_io, files
 from murmurate.world import OBJECTIVES, FileStart, scaled_to
@@ -116,6 +117,8 @@ class ExperimentConfig(Problem):
                 f"{standard.get(name, 'left out')}: with the policy {self.policy.name} robots act on all positions"
             )
             raise InputError(f"sensing.{name}", given[name], f"{allowed}; to act on their own view choose policy local")
+        if isinstance(self.policy, LocalPolicy) and self.policy.walls and not self.sensing.walls:
+            raise InputError("sensing.walls", False, "true with policy.walls: robots act on walls that they perceive")
         if self.landmark and not self.sensing.landmark:
             reason = "true with objective C1: in frames of their own, robots find a given point only by a landmark"
             raise InputError("sensing.landmark", False, reason)

@@ -41,6 +41,9 @@ class WorldConfig(eqx.Module):
         max_speed: Bound on each velocity component, world units per step.
         safety: Reading of F_safe: penalty, or shell (as printed).
         collision_penalty: Reward of a step that ends in contact or outside the world, times -1.
+        bounded: Whether the world ends at its sides. Otherwise it is the whole plane, as in theory: nobody can leave it
+            and there are no walls to perceive. Robots still begin in |x| <= X, |y| <= Y, and signals are still measured
+            by X and Y.
     """
 
     robots: int = eqx.field(default=10, static=True)
@@ -52,6 +55,7 @@ class WorldConfig(eqx.Module):
     max_speed: float = 1.0
     safety: Safety = eqx.field(default="penalty", static=True)
     collision_penalty: float = 1.0
+    bounded: bool = eqx.field(default=True, static=True)
 
     def __check_init__(self) -> None:
         check_number("robots", self.robots, 2, MAX_ROBOTS, integer=True)
@@ -68,6 +72,7 @@ class WorldConfig(eqx.Module):
             raise InputError("max_speed", self.max_speed, allowed)
         check_number("collision_penalty", self.collision_penalty, 0, MAX_MAGNITUDE)
         check_choice("safety", self.safety, get_args(Safety))
+        check_type("bounded", self.bounded, bool, "true or false")
 
     @property
     def bounds(self) -> Float[np.ndarray, "2"]:
@@ -76,6 +81,11 @@ class WorldConfig(eqx.Module):
         A robot that a rule keeps exactly on a wall would otherwise be outside by a rounded digit.
         """
         return np.array([self.half_width, self.half_height], np.float32)
+
+    @property
+    def limits(self) -> Float[np.ndarray, "2"]:
+        """The greatest |x| and |y| inside the world: its bounds, or infinity where it has none."""
+        return self.bounds if self.bounded else np.full(2, np.inf, np.float32)
 
     def __repr__(self) -> str:
         return (

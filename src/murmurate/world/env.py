@@ -175,7 +175,8 @@ class World(eqx.Module):
         signals = self.objective.measure(configuration)
         objective = self.objective(signals)
         potential = self._potential(configuration, objective)
-        motion, sides = (state.positions, velocities, config.radius), (positions, config.half_width, config.half_height)
+        sides = (config.half_width, config.half_height) if config.bounded else (jnp.inf, jnp.inf)
+        motion, sides = (state.positions, velocities, config.radius), (positions, *sides)
         if self.per_robot_credit:
             penalised = _batch_last.in_contact(*motion) | _batch_last.outside(*sides)
             terminated = _batch_last.fold(operator.or_, penalised)
@@ -419,7 +420,10 @@ class LocalObservation(Wrapper):
     def observe(self, state: ObservedState) -> Observation:
         """Returns what every robot perceives, and what the value network may know."""
         x, y = state.positions[:, 0], state.positions[:, 1]
-        distance = jnp.minimum(self.world.half_width - abs(x), self.world.half_height - abs(y))
+        # In the whole plane, the value network is told that walls are as far as anybody sees.
+        far = jnp.full_like(x, self.world.scan_radius)
+        sides = (self.world.half_width - abs(x), self.world.half_height - abs(y))
+        distance = jnp.minimum(*sides) if self.world.bounded else far
         return Observation(self.view(state), state.positions, jnp.maximum(distance, 0.0))
 
     def view(self, state: ObservedState) -> View:

@@ -107,6 +107,10 @@ class Sensing(Strategy):
     def perceived(self, configuration: Configuration) -> Bool[Array, "robots robots *batch"]:
         """Returns which robots (second axis) each robot (first axis) perceives; what the diagonal holds is ignored."""
 
+    def sees_walls(self, world: WorldConfig) -> bool:
+        """Returns whether there are walls, and robots perceive them."""
+        return self.walls and world.bounded
+
     def draw_frames(self, keys: Key[Array, "*batch"], robots: int, dtype: Any = jnp.float32) -> Frames:
         """Draws a frame for every robot.
 
@@ -161,7 +165,7 @@ class Sensing(Strategy):
             radius=world.radius / frames.unit,
             landmark_x=landmark_x / frames.unit,
             landmark_y=landmark_y / frames.unit,
-            walls=nearest_wall_points(positions, frames, world, self.sees_far) if self.walls else None,
+            walls=nearest_wall_points(positions, frames, world, self.sees_far) if self.sees_walls(world) else None,
         )
 
     def _with_noise(self, dx: Array, dy: Array, seen: Array, keys: Key[Array, "*batch"]) -> tuple[Array, Array, Array]:

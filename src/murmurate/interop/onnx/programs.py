@@ -168,7 +168,7 @@ def _view_program(run: Run, index: int, foreign: Mapping[str, Strategy]) -> Prog
     if experiment.landmark:
         inputs["point"] = ("batch", 2)
         about["point"] = "the gathering point, in the same coordinates"
-    if experiment.sensing.walls:
+    if experiment.sensing.sees_walls(experiment.world):
         inputs["walls"] = ("batch", 4, 2)
         about["walls"] = "the nearest point of each wall, in the same coordinates, opposite walls two places apart"
 
