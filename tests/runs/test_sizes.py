@@ -13,7 +13,7 @@ from murmurate.discovery.stage import draw_key
 from murmurate.errors import BeyondTrainingWarning, InputError
 from murmurate.runs import presets, train
 from murmurate.runs.run import Run
-from murmurate.world import WorldConfig, scaled_to
+from murmurate.world import LocalObservation, WorldConfig, scaled_to
 from tiny import tiny
 
 ANY = {
@@ -87,7 +87,7 @@ def test_a_run_is_executed_in_a_swarm_of_any_size(run):
     factor = far.world.half_width / run.experiment.world.half_width
     assert far.rest.max_steps == pytest.approx(run.experiment.rest.max_steps * factor, abs=1)
     assert far.rest.window == pytest.approx(run.experiment.rest.window * factor, abs=1)
-    assert far.rest.tolerance == pytest.approx(run.experiment.rest.tolerance / factor)
+    assert far.rest.switch_tolerance == pytest.approx(run.experiment.rest.switch_tolerance / factor)
     # In a smaller world there is as much time as ever.
     assert run.experiment.of_size(2).rest == run.experiment.rest
 
@@ -127,6 +127,11 @@ def test_sizes_that_one_policy_cannot_serve_are_refused(overlay, line):
     assert str(caught.value).startswith(line)
 
 
+def seeing(env):
+    """The wrapper in which robots perceive."""
+    return env if isinstance(env, LocalObservation) else seeing(env.env)
+
+
 def test_a_margin_makes_robots_larger_while_they_learn_and_nowhere_else():
     own_eyes = {"policy": {"use": "local", "hidden": [8, 4]}, "sizes": [], "base": {"margin": 0.25}}
     config = tiny(**ANY | own_eyes)
@@ -134,5 +139,6 @@ def test_a_margin_makes_robots_larger_while_they_learn_and_nowhere_else():
     env = search.stage(search.begin()).environment(0)
     trained, world = env.config, config.world
     assert (float(trained.radius), float(trained.safe_distance)) == (1.25 * world.radius, 1.25 * world.safe_distance)
-    for perceived in (env.env.world, search.world.config, build_cascade(config, ()).env.world):
+    eyes, executed = seeing(env), seeing(build_cascade(config, ()).env)
+    for perceived in (eyes.world, search.world.config, executed.world):
         assert (float(perceived.radius), float(perceived.safe_distance)) == (world.radius, world.safe_distance)
