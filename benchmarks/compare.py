@@ -2,7 +2,8 @@
 
 python -m benchmarks.compare [--out docs]
 
-Writes the folder comparison and into results.md (C2), and the folder comparison/C1 and into point.md (C1). Conditions
+Writes the folder comparison and into results.md (C2), the folder comparison/C1 and into point.md (C1), and the folder
+comparison/hard and into hard.md (starts that are hard for a controller; alone with --hard, in ten minutes). Conditions
 that the folders hold are not evaluated again: delete comparison.json after new weights.
 """
 
@@ -44,6 +45,8 @@ POINT = (
     (*C1, "--methods", "learned", "--robots", "8", "--starts", FAMILIES),
     (*C1, "--methods", "circle,two-color", "--robots", "4,8,12,16", "--sensing", "global,visible"),
 )
+HARD_STARTS = ("--starts", "random,cluster,corner,wall,walls,tight-grid", "--robots", "4,8,16", "--episodes", "200")
+HARD = (("--methods", "learned,circle", "--sensing", "visible,global", *HARD_STARTS),)
 
 
 def compare(parts: Sequence[tuple[str, ...]], folder: Path, page: Path) -> None:
@@ -58,9 +61,13 @@ def compare(parts: Sequence[tuple[str, ...]], folder: Path, page: Path) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=Path("docs"), help="where the pages and the comparisons are kept")
-    docs = parser.parse_args().out
-    compare(PARTS, docs / "comparison", docs / "results.md")
-    compare(POINT, docs / "comparison" / "C1", docs / "point.md")
+    parser.add_argument("--hard", action="store_true", help="the starts that are hard for a controller alone")
+    options = parser.parse_args()
+    docs = options.out
+    if not options.hard:
+        compare(PARTS, docs / "comparison", docs / "results.md")
+        compare(POINT, docs / "comparison" / "C1", docs / "point.md")
+    compare(HARD, docs / "comparison" / "hard", docs / "hard.md")
 
 
 if __name__ == "__main__":
