@@ -26,7 +26,19 @@ PRETRAINED: dict[str, Any] = {
 }
 """The options of the package's weights, with their defaults."""
 
-STARTS = ("random", "scattered", "distributed", "packed")
+STARTS = (
+    "random",
+    "scattered",
+    "distributed",
+    "packed",
+    "symmetric",
+    "cluster",
+    "corner",
+    "wall",
+    "walls",
+    "tight-grid",
+    "hard",
+)
 
 EPISODES = 32
 """Starts from which the package's weights form patterns, to draw a typical one; fewer for large swarms."""
@@ -47,7 +59,7 @@ def run(argv: Sequence[str]) -> int:
     text = "import the modules that the runs name, which executes them"
     parser.add_argument("--trust", action="store_true", help=text)
     parser.add_argument("--robots", type=int, metavar="INT", help="swarm size, without RUN (default: 8)")
-    parser.add_argument("--start", metavar="KIND", help="random, scattered, distributed or packed (default: random)")
+    parser.add_argument("--start", metavar="KIND", help=f"{', '.join(STARTS[:-1])} or {STARTS[-1]} (default: random)")
     parser.add_argument("--objective", metavar="C1|C2", help="where to gather: C2 anywhere (default), C1 at the origin")
     parser.add_argument("--sensing", metavar="NAME", help="visible (default), global, chiral or noisy")
     parser.add_argument("--scheduler", metavar="NAME", help="when they move (default: fsync)")
