@@ -3,8 +3,8 @@
 python -m benchmarks.pretrained [--runs runs] [--only-finished]
 
 Each folder of src/murmurate/pretrained holds the experiment.toml that its weights are trained by. Those that the
-learner gradients refines begin with the policy that discovery-C1.toml or discovery-C2.toml beside this file discovers.
-What is finished in the runs folder is reused.
+learner gradients refines begin with what discovery-C2.toml beside this file discovers, and refined-C2.toml refines
+first. What is finished in the runs folder is reused.
 """
 
 from __future__ import annotations
@@ -21,6 +21,9 @@ from murmurate.runs.jobs import training_jobs
 from murmurate.runs.presets import resolve
 from murmurate.runs.pretrained import FOLDER
 from murmurate.runs.run import Run
+
+PHASES = ("discovery", "refined")
+"""What comes before the last refinement: each begins with the policy of the one before."""
 
 EVERY = 10
 """Of the metrics, the package holds one row in so many: enough to draw how training went."""
@@ -50,16 +53,16 @@ def main() -> None:
     if not options.only_finished:
         configs = {name: experiment.load(to) for name, to in names.items()}
         refined = {name for name, config in configs.items() if config.base.learner == "gradients"}
-        found = {
-            config.objective: f"discovery-{config.objective}" for name, config in configs.items() if name in refined
-        }
-        discoveries = {name: resolve(Path(__file__).parent / f"{name}.toml") for name in found.values()}
         plain = {name: config for name, config in configs.items() if name not in refined}
-        run_jobs(training_jobs(Grid(discoveries | plain), options.runs), InProcess())
-        for objective, discovery in found.items():
-            begun = Grid({name: configs[name] for name in refined if configs[name].objective == objective})
-            initial = Run.open(options.runs / discovery)
-            run_jobs(training_jobs(begun, options.runs, initial=initial), InProcess())
+        run_jobs(training_jobs(Grid(plain), options.runs), InProcess())
+        for objective in sorted({configs[name].objective for name in refined}):
+            initial = None
+            for phase in PHASES:
+                file = Path(__file__).parent / f"{phase}-{objective}.toml"
+                run_jobs(training_jobs(Grid({file.stem: resolve(file)}), options.runs, initial=initial), InProcess())
+                initial = Run.open(options.runs / file.stem)
+            last = Grid({name: configs[name] for name in refined if configs[name].objective == objective})
+            run_jobs(training_jobs(last, options.runs, initial=initial), InProcess())
     for name, to in names.items():
         pack(options.runs / name, to)
         print(f"packed {name}: {sum(path.stat().st_size for path in to.rglob('*') if path.is_file())} bytes")
