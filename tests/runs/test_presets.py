@@ -65,14 +65,14 @@ def test_what_is_tuned_for_an_experiment_changes_nothing_else():
     for name, overlay in presets.EXPERIMENT_OVERRIDES.items():
         tuned = {leaf.path: leaf.value for leaf in config_io.leaves(presets.preset(name))}
         numbers = presets.TRAINING_PRESETS[presets.DEFAULT_LEARNER]
-        untuned = replace(
-            presets.preset(name), auxiliary=numbers.auxiliary, discovery=numbers.discovery, rest=numbers.rest
-        )
+        parts = {part: getattr(numbers, part) for part in ("base", "auxiliary", "discovery", "rest")}
+        untuned = replace(presets.preset(name), **parts)
         usual = {leaf.path: leaf.value for leaf in config_io.leaves(untuned)}
         changed = {path: value for path, value in tuned.items() if usual[path] != value}
         assert changed == dict(flat(overlay))
         for learner in ("central", "paper"):
-            assert presets.preset(name, learner).auxiliary == presets.TRAINING_PRESETS[learner].auxiliary
+            preset, usual_numbers = presets.preset(name, learner), presets.TRAINING_PRESETS[learner]
+            assert (preset.base, preset.auxiliary) == (usual_numbers.base, usual_numbers.auxiliary)
 
 
 def flat(overlay, path=""):

@@ -140,9 +140,9 @@ it, means of three seeds, instead of 1.2, 0.9 and 1.9 (B, E, F). A and C lose pa
 are valid then.
 
 In A and D six slow robots begin near the place where they gather, and the way is hardly longer than settling: in A an
-early change from the base policy to the next saves steps. A's third policy brings the last of its patterns to the origin.
-In D, robots for which motion costs as much as elsewhere stop where they do not see each other yet: 145 of 200 are valid
-then (seed 0), instead of 200.
+early change from the base policy to the next saves steps. A's third policy brings the last of its patterns to the
+origin. In D, robots for which motion costs as much as elsewhere stop where they do not see each other yet: 145 of 200
+are valid then (seed 0), instead of 200.
 """
 
 
