@@ -2,9 +2,8 @@
 
 python -m benchmarks.pretrained [--runs runs] [--only-finished]
 
-Each folder of src/murmurate/pretrained holds the experiment.toml that its weights are trained by. Those that the
-learner gradients refines begin with what discovery-C2.toml beside this file discovers, and refined-C2.toml refines
-first. What is finished in the runs folder is reused.
+Each folder of src/murmurate/pretrained holds the experiment.toml that its weights are trained by; what is finished in
+the runs folder is reused.
 """
 
 from __future__ import annotations
@@ -18,12 +17,7 @@ from murmurate.runs.execute import InProcess, run_jobs
 from murmurate.runs.folder import MANIFEST, METRICS, RunFolder
 from murmurate.runs.grid import Grid
 from murmurate.runs.jobs import training_jobs
-from murmurate.runs.presets import resolve
 from murmurate.runs.pretrained import FOLDER
-from murmurate.runs.run import Run
-
-PHASES = ("discovery", "refined")
-"""What comes before the last refinement: each begins with the policy of the one before."""
 
 EVERY = 10
 """Of the metrics, the package holds one row in so many: enough to draw how training went."""
@@ -51,18 +45,8 @@ def main() -> None:
     folders = sorted(path.parent for path in FOLDER.glob(f"*/*/{experiment.EXPERIMENT}"))
     names = {f"pretrained-{to.parent.name}-{to.name}": to for to in folders}
     if not options.only_finished:
-        configs = {name: experiment.load(to) for name, to in names.items()}
-        refined = {name for name, config in configs.items() if config.base.learner == "gradients"}
-        plain = {name: config for name, config in configs.items() if name not in refined}
-        run_jobs(training_jobs(Grid(plain), options.runs), InProcess())
-        for objective in sorted({configs[name].objective for name in refined}):
-            initial = None
-            for phase in PHASES:
-                file = Path(__file__).parent / f"{phase}-{objective}.toml"
-                run_jobs(training_jobs(Grid({file.stem: resolve(file)}), options.runs, initial=initial), InProcess())
-                initial = Run.open(options.runs / file.stem)
-            last = Grid({name: configs[name] for name in refined if configs[name].objective == objective})
-            run_jobs(training_jobs(last, options.runs, initial=initial), InProcess())
+        grid = Grid({name: experiment.load(to) for name, to in names.items()})
+        run_jobs(training_jobs(grid, options.runs), InProcess())
     for name, to in names.items():
         pack(options.runs / name, to)
         print(f"packed {name}: {sum(path.stat().st_size for path in to.rglob('*') if path.is_file())} bytes")
