@@ -163,7 +163,7 @@ def test_flags_reach_the_fields_of_ones_own_classes(experiment, tmp_path, capsys
         (
             "start",
             "rings",
-            'one of scattered, distributed, packed, file, random, symmetric, mixture, or "module:Class"',
+            'symmetric, cluster, corner, tight-grid, wall, walls, hard, or "module:Class"',
         ),
     ],
 )
