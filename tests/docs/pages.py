@@ -25,7 +25,7 @@ from murmurate.runs.grid import Grid
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 PAGES = sorted(page.relative_to(DOCS).as_posix() for page in DOCS.rglob("*.md"))
-WRITTEN_BY_PROGRAMS = {"results.md", "point.md", "discoveries.md", "reproduction/report.md"}
+WRITTEN_BY_PROGRAMS = {"results.md", "point.md", "hard.md", "discoveries.md", "reproduction/report.md"}
 WRITTEN_BY_PROGRAMS |= {page for page in PAGES if page.startswith("comparison/")}
 BY_HAND = [page for page in PAGES if page not in WRITTEN_BY_PROGRAMS]
 
