@@ -75,7 +75,7 @@ def test_a_file_or_an_array_is_taken_whole_or_in_part(tmp_path):
 
 def test_a_registered_name_wins_over_a_file(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    Path("cluster").write_text("nonsense")
+    Path("cluster").write_text("nonsense", encoding="utf-8")
     assert given("cluster").source["kind"] == "set"
     with pytest.raises(InputError, match="must be a table with the header start,x,y"):
         given("./cluster")
