@@ -176,7 +176,7 @@ def after_rest(trajectories):
     return np.linalg.norm(trajectories.after_rest - trajectories.final[:, None], axis=-1)
 
 
-def test_whoever_stands_still_at_rest_is_not_watched_in_vain():
+def test_robots_that_stand_still_at_rest_are_not_executed_any_further():
     """Robots that remember nothing and see without noise go on to decide what they decided."""
     trajectories = run([approach(5)], 5, 6, 10, 18)
     assert trajectories.after_rest.shape == (4, 0, 2, 2)

@@ -229,7 +229,7 @@ wrapped_step = jax.jit(lambda env, state, velocities: env.step(state, velocities
 
 
 def test_a_robot_stands_still_by_its_own_wish_alone(world):
-    """Whoever wants less than the dead zone stays exactly where it is; the others do what they want."""
+    """A robot that wants less than the dead zone stays exactly where it is; the others do what they want."""
     env = DeadZone(world, jnp.asarray(0.3))
     assert (env.unwrapped, env.period, env.keeps_rest) == (world, 1, True)
     wishes = np.array([[0.2, 0.2], [0.21, -0.22], [-0.3, 0.0], [0.0, -0.29999]])

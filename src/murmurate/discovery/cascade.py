@@ -43,7 +43,7 @@ A move may begin a period after its look, and between two looks there is at most
 class RestRule:
     """When a policy has brought the swarm to rest, and what robots do for it.
 
-    The last policy brings the swarm to rest by itself: its robots stop. A policy that another one follows hands over as
+    The robots of the last policy stop without being told. A policy that another one follows hands over as
     soon as the objective changes no more, which only somebody who looks at the whole swarm can know.
 
     Attributes:
@@ -67,9 +67,10 @@ class RestRule:
             check_number(name, getattr(self, name), 1, MAX_INTEGER, integer=True)
         check_number("stillness", self.stillness, 0, MAX_MAGNITUDE)
         check_number("switch_tolerance", self.switch_tolerance, 0, MAX_MAGNITUDE, exclusive_low=True)
-        check_number("dead_zone", self.dead_zone, 0, 1)
-        if self.dead_zone == 1:
-            raise InputError("dead_zone", self.dead_zone, "less than 1: no robot would ever move along an axis")
+        check_number("dead_zone", self.dead_zone)
+        if not 0 <= self.dead_zone < 1:
+            allowed = "a number >= 0 and less than 1: at 1 no robot would ever move along an axis"
+            raise InputError("dead_zone", self.dead_zone, allowed)
 
 
 class _Status(eqx.Module):
@@ -229,7 +230,7 @@ class Cascade(eqx.Module):
     def _watch(self, status: _Status, chunk: int, most: int) -> Float[np.ndarray, "batch steps robots 2"]:
         """Executes the swarms that came to rest for some more steps, and records them until nobody moves any more."""
         # Nothing can change any more where no robot moved at all while each looked, decided and would have begun to
-        # move: robots remember nothing, so whoever sees without noise what it saw before decides what it decided.
+        # move: robots remember nothing, so a robot that sees the same again, without noise, decides the same.
         decided = self.env.keeps_rest and self.rest.window >= DECIDING_PERIODS * self.env.period
         settled = decided & np.asarray(status.unmoved_steps >= self.rest.window)
         unsettled = np.asarray(status.at_rest) & ~settled
@@ -336,7 +337,7 @@ def _step(cascade: Cascade, status: _Status) -> tuple[_Status, tuple[Array, dict
     unmoved_steps = jnp.where(jnp.all(moves == 0, axis=(0, 1)), status.unmoved_steps + 1, 0)
     steps_active = status.steps_active + moving
     is_last = status.active_policy == len(cascade.policies) - 1
-    # The last policy comes to rest by itself; somebody who sees the whole swarm ends the others.
+    # Robots of the last policy stop without being told; the others end by what only the whole swarm shows.
     settled = jnp.where(is_last, still_steps >= rest.window, recent_changes.mean(axis=0) < rest.switch_tolerance)
     ending = moving & ~status.watched
     rested = ending & settled & ~terminated

@@ -334,7 +334,7 @@ class ShortfallReward(Wrapper):
 
 
 class DeadZone(Wrapper):
-    """Robots whose policy wants a slow move stand still: that is how a swarm comes to rest by itself.
+    """Robots whose policy wants a slow move stand still: that is how a swarm comes to rest.
 
     Attributes:
         least_speed: Moves that are slower than this are not begun, world units per step.
