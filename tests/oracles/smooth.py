@@ -23,7 +23,7 @@ def smooth_visible(positions: np.ndarray, radius: float, margin: float) -> list[
                     continue
                 angle = acos(max(-1.0, min(1.0, float(to_i @ to_j) / (far * near))))
                 wide = (1 + margin) * (asin(radius / far) + asin(radius / near))
-                lack += max(0.0, 1 - angle / wide) ** 2
+                lack += max(0.0, 1 - sin(angle / 2) / sin(wide / 2)) ** 2
             hidden += lack / (1 + lack)
         shares.append(1 - log1p(10 / 3 * hidden) / log1p(10 / 3 * (robots - 1)))
     return shares

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from murmurate.geometry._batch_last import sum_terms
+from murmurate.geometry._batch_last import sum_over_third_robots, sum_terms
 from murmurate.world.config import WorldConfig
 
 __all__ = [
@@ -164,15 +164,14 @@ def _shadows(ux: Array, uy: Array, distance: Array, radius: float) -> Float[Arra
     half = radius / distance
     # Computed once for each pair: fused into the sum below, a logarithm would be computed for each triple.
     wx, wy, level = jax.lax.optimization_barrier((ux * (1 / TIE), uy * (1 / TIE), jnp.log(distance) * (0.5 / TIE)))
-    number = jax.lax.broadcasted_iota(jnp.int32, distance.shape[1:], 0)
 
-    def third(j: int) -> tuple[Array, ...]:
-        jx, jy, jh, jl = (a[:, j, None] for a in (ux, uy, half, level))
+    def third(first: tuple[Array, ...], other: tuple[Array, ...], same: Array) -> tuple[Array, ...]:
+        (ux, uy, wx, wy, half, level), (jx, jy, _, _, jh, jl) = first, other
         sin, cos, width = ux * jy - uy * jx, wx * jx + wy * jy, half + jh
         # The offset z is sin / width, and the bell (1 + z^2)^-2, here by a single division.
         inverse = 1 / (sin * sin + width * width)
         # Robot i itself is no third robot. Where k is i or j the unit vector is 0, and so is the cosine.
-        near = jnp.where(number == j, 0.0, width * inverse)
+        near = jnp.where(same, 0.0, width * inverse)
         root = width * near
         bell, odd = root * root, sin * near * root
         facing = jnp.clip(cos, -1.0, 1.0)
@@ -180,7 +179,7 @@ def _shadows(ux: Array, uy: Array, distance: Array, radius: float) -> Float[Arra
         nearer = jnp.clip(0.5 + level - jl, 0.0, 1.0) * ahead
         return tuple(w * factor for w in (nearer, ahead - nearer, ahead - facing) for factor in (bell, odd))
 
-    return jnp.stack(sum_terms(third, distance.shape[1]))
+    return jnp.stack(sum_over_third_robots(third, (ux, uy, wx, wy, half, level)))
 
 
 def point(

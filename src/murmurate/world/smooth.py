@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from murmurate.errors import MAX_MAGNITUDE, check_number
 from murmurate.geometry import _batch_last
-from murmurate.geometry._batch_last import sum_terms
+from murmurate.geometry._batch_last import sum_over_third_robots
 from murmurate.geometry.rings import smallest_ring_radius
 from murmurate.world.signals import Configuration, Signal
 
@@ -32,8 +32,8 @@ class SmoothVisible(Signal):
     """How far every line of sight passes from the robots near it.
 
     A robot i is hidden from k by a nearer robot j when the angle between them is less than the sum w of the half-angles
-    that their discs cover. Each such pair counts by how far the angle is below (1 + margin) w, and each robot by the
-    logarithm of what it does not see: the last hidden robot matters, and so does one of many.
+    that their discs cover. Each such pair counts by how far the chord of the angle is below that of (1 + margin) w, and
+    each robot by the logarithm of what it does not see: the last hidden robot matters, and so does one of many.
 
     Attributes:
         margin: Share of w by which a line of sight should pass.
@@ -50,17 +50,21 @@ class SmoothVisible(Signal):
         dx, dy, distance, apart = _pairs(configuration)
         ux, uy = (xp.where(apart, d / distance, 0.0) for d in (dx, dy))
         half = xp.asin(xp.minimum(radius / distance, 0.999))
+        # The chord of an angle a is 2 sin(a / 2), here of half the sum of two such angles: sin(p + q).
+        quarter = xp.minimum((1 + self.margin) * half / 2, math.pi / 4)
+        sine, cosine = xp.sin(quarter), xp.cos(quarter)
 
-        def shadow(j: int) -> tuple[Any]:
-            # Of the observer (first axis), another robot (second) and robot j.
-            jx, jy = ux[:, j, None], uy[:, j, None]
-            cos, sin = ux * jx + uy * jy, ux * jy - uy * jx
-            defined = apart & apart[:, j, None] & (distance[:, j, None] < distance)
-            angle = xp.abs(xp.atan2(xp.where(defined, sin, 0.0), xp.where(defined, cos, 1.0)))
-            lack = 1 - angle / ((1 + self.margin) * (half + half[:, j, None]))
-            return (xp.where(defined & (lack > 0), lack**2, 0.0),)
+        def shadow(first: tuple[Any, ...], other: tuple[Any, ...], same: Any) -> tuple[Any]:
+            # Of an observer, another robot and a third one. The observer itself has no direction, which is 0.
+            (ux, uy, distance, sine, cosine), (jx, jy, near, jsine, jcosine) = first, other
+            square = (ux - jx) ** 2 + (uy - jy) ** 2
+            nearer = (near < distance) & (ux * ux + uy * uy > 0) & (jx * jx + jy * jy > 0) & ~same
+            # The gradient of the square root at 0 is not finite.
+            chord = xp.where(square > 0, xp.sqrt(xp.where(square > 0, square, 1.0)), 0.0)
+            lack = 1 - chord / (2 * (sine * jcosine + cosine * jsine))
+            return (xp.where(nearer & (lack > 0), lack**2, 0.0),)
 
-        (total,) = sum_terms(shadow, robots)
+        (total,) = sum_over_third_robots(shadow, (ux, uy, distance, sine, cosine))
         hidden = total / (1 + total)
         count = _batch_last.fold(operator.add, hidden, 1)
         return 1 - xp.log1p(STEEPNESS * count) / math.log1p(STEEPNESS * (robots - 1))

@@ -8,7 +8,17 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["fori_loop", "is_traced", "map_chunks", "scatter", "set_row", "sum_terms", "take", "while_loop"]
+__all__ = [
+    "fori_loop",
+    "is_traced",
+    "map_chunks",
+    "scatter",
+    "set_row",
+    "sum_over_third_robots",
+    "sum_terms",
+    "take",
+    "while_loop",
+]
 
 MAX_UNROLLED = 10
 """Terms of a sum that are unrolled in a compiled program; more would take long to compile."""
@@ -100,6 +110,65 @@ def sum_terms(term: Callable[[int], tuple[Any, ...]], count: int) -> tuple[Any, 
     for index in range(1, count):
         total = _add(total, term(index))
     return total
+
+
+def sum_over_third_robots(
+    term: Callable[[tuple[Any, ...], tuple[Any, ...], Any], tuple[Any, ...]], arrays: tuple[Any, ...]
+) -> tuple[Any, ...]:
+    """Returns, for every observer k and robot i, the sum over all robots j of a function of k's numbers of i and of j.
+
+    The gradient is computed by two sums of the same kind, over what each robot is as i and as j. What JAX derives from
+    the sum instead adds whole arrays of zeros for each slice that a term takes: fifteen times slower, and ten times
+    longer to compile.
+
+    Args:
+        term: Takes the arrays at i, those at j, and whether i is j; computes element by element. It must not use any
+            other array.
+        arrays: Numbers of each robot as each observer sees it, `(observers, robots, *batch)`.
+    """
+    if isinstance(arrays[0], np.ndarray):
+        return _sum_over_third_robots(np, term, arrays)
+    import jax
+    from jax import numpy as jnp
+
+    @jax.custom_vjp
+    def total(arrays: tuple[Any, ...]) -> tuple[Any, ...]:
+        return _sum_over_third_robots(jnp, term, arrays)
+
+    def forward(arrays: tuple[Any, ...]) -> tuple[Any, Any]:
+        return total(arrays), arrays
+
+    def backward(arrays: tuple[Any, ...], gradient: tuple[Any, ...]) -> tuple[Any]:
+        number = _numbers(jnp, arrays)
+
+        def add_gradient(robot: int, sums: tuple[Any, ...]) -> tuple[Any, ...]:
+            numbers, same = tuple(array[:, robot, None] for array in arrays), number == robot
+            as_first = jax.vjp(lambda first: term(first, numbers, same), arrays)[1](gradient)[0]
+            of_robot = tuple(jnp.broadcast_to(g[:, robot, None], g.shape) for g in gradient)
+            as_other = jax.vjp(lambda other: term(numbers, other, same), arrays)[1](of_robot)[0]
+            return _add(sums, _add(as_first, as_other))
+
+        zeros = tuple(jnp.zeros_like(array) for array in arrays)
+        return (jax.lax.fori_loop(0, arrays[0].shape[1], add_gradient, zeros),)
+
+    total.defvjp(forward, backward)
+    return total(arrays)
+
+
+def _sum_over_third_robots(xp: Any, term: Any, arrays: tuple[Any, ...]) -> tuple[Any, ...]:
+    number = _numbers(xp, arrays)
+    others = lambda j: tuple(array[:, j, None] for array in arrays)  # noqa: E731
+    return sum_terms(lambda j: term(arrays, others(j), number == j), arrays[0].shape[1])
+
+
+def _numbers(xp: Any, arrays: tuple[Any, ...]) -> Any:
+    """Returns the numbers of the robots that are seen, along their axis."""
+    shape = arrays[0].shape
+    if xp is not np:
+        from jax import lax
+
+        return lax.broadcasted_iota(np.int32, shape[1:], 0)
+    return np.arange(shape[1]).reshape(-1, *(1,) * (len(shape) - 2))
 
 
 def _add(first: tuple[Any, ...], second: tuple[Any, ...]) -> tuple[Any, ...]:
