@@ -26,3 +26,18 @@ def corner(points: np.ndarray) -> tuple[int, int, float] | None:
     width = np.linalg.norm(b - a)
     bulge = abs(a[0] * b[1] - a[1] * b[0]) / width if width > 0 else 0.0
     return int(last), int(first), float(bulge)
+
+
+def widest_gap(points: np.ndarray) -> tuple[float, float, float]:
+    """Returns the mean direction and the mean width of the gaps around the origin, weighted by their sixth power.
+
+    Args:
+        points: Where the others are; at least one.
+    """
+    angles = sorted(float(np.arctan2(y, x)) for x, y in points)
+    gaps = [b - a for a, b in zip(angles, [*angles[1:], angles[0] + 2 * np.pi], strict=True)]
+    weights = [gap**6 for gap in gaps]
+    middles = [a + gap / 2 for a, gap in zip(angles, gaps, strict=True)]
+    values = ([np.cos(m) for m in middles], [np.sin(m) for m in middles], [gap / np.pi - 1 for gap in gaps])
+    x, y, width = (float(np.dot(weights, v) / np.sum(weights)) for v in values)
+    return x, y, width

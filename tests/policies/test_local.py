@@ -19,12 +19,15 @@ R, SCAN = 1.0, 40.0
 
 @functools.cache
 def networks(landmark=True):
-    build = eqx.filter_jit(LocalPolicy(hidden=(16, 8)).networks)
+    build = eqx.filter_jit(LocalPolicy(hidden=(16, 8), gaps=True).networks)
     policy, value = build(WorldConfig(robots=6), landmark, jax.random.key(0))
-    # Fresh heads are all but silent: here they speak up.
-    heads = (policy.head.weight, policy.to_point.weight)
-    louder = eqx.tree_at(lambda p: (p.head.weight, p.to_point.weight), policy, tuple(20 * weight for weight in heads))
-    return louder, value
+    return louder(policy), value
+
+
+def louder(policy):
+    """Fresh heads are all but silent: here they speak up."""
+    heads = lambda p: (p.head.weight, p.to_point.weight, p.to_gap.weight)  # noqa: E731
+    return eqx.tree_at(heads, policy, tuple(20 * weight for weight in heads(policy)))
 
 
 def configuration(seed=0, robots=6):
@@ -126,10 +129,8 @@ def test_a_robot_knows_no_size_of_the_world():
     """Neither its sides nor the time that it has: without walls to see, the same weights do the same."""
     policy, _ = networks()
     wide = WorldConfig(robots=6, half_width=500.0, half_height=70.0, collision_penalty=9.0)
-    build = eqx.filter_jit(LocalPolicy(hidden=(16, 8)).networks)
-    there, _ = build(wide, True, jax.random.key(0))
-    heads = (there.head.weight, there.to_point.weight)
-    there = eqx.tree_at(lambda p: (p.head.weight, p.to_point.weight), there, tuple(20 * weight for weight in heads))
+    build = eqx.filter_jit(LocalPolicy(hidden=(16, 8), gaps=True).networks)
+    there = louder(build(wide, True, jax.random.key(0))[0])
     plain = velocities(policy, configuration(), use="visible")
     np.testing.assert_array_equal(velocities(there, configuration(), use="visible"), plain)
 

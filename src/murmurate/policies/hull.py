@@ -1,7 +1,8 @@
-"""Features of a robot's place on the convex hull of what it sees."""
+"""Features of a robot's place on the convex hull of what it sees, and of the gap through which it could leave."""
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -9,9 +10,9 @@ from jaxtyping import Array, Bool, Float
 
 from murmurate.geometry._batch_last import hull_shares
 
-__all__ = ["CORNER_CHANNELS", "EDGE_CHANNELS", "Hull", "hull", "mean_position"]
+__all__ = ["CORNER_CHANNELS", "EDGE_CHANNELS", "GAP_CHANNELS", "Gap", "Hull", "hull", "mean_position", "widest_gap"]
 
-EDGE_CHANNELS, CORNER_CHANNELS = 2, 3
+EDGE_CHANNELS, CORNER_CHANNELS, GAP_CHANNELS = 2, 3, 2
 
 NO_ANGLE, ANGLE = 1e-4, 1e-3
 """Sines of the angles up to which two robots count as in one direction, and from which on as in two. In between it is
@@ -20,6 +21,30 @@ that all see each other the angles are 3e-3."""
 
 FAR_OUT = 4.0
 """Distance from the line between a robot's two neighbours on the hull, in radii, that maps to one half."""
+
+
+WIDEST = 6
+"""Power of a gap's angle by which its direction is weighted: a gap a quarter wider counts nearly four times as much."""
+
+NO_GAP = 4 * math.pi
+"""Stands for the angle of a robot that is not seen: greater than all others, also a turn later."""
+
+
+class Gap(NamedTuple):
+    """Where the widest angle around each robot is in which it sees nobody.
+
+    Of gaps that are equally wide the mean counts, so that no comparison decides: a robot amid a regular polygon has
+    none, and nothing changes by more than rounding as the swarm turns.
+
+    Attributes:
+        x: x of the mean direction of the gaps, each weighted by a power of its angle; a vector of at most length 1.
+        y: y of it.
+        width: The mean angle of the gaps, weighted alike, in half turns, less 1: at corners of the hull above 0.
+    """
+
+    x: Float[Array, "robots *batch"]
+    y: Float[Array, "robots *batch"]
+    width: Float[Array, "robots *batch"]
 
 
 class Hull(NamedTuple):
@@ -61,6 +86,33 @@ def hull(
     robot = [corner, corner / (1 + bulge**2) ** 2, corner * bulge / (FAR_OUT + bulge)]
     pair = [jnp.maximum(last, first), last - first]
     return Hull(jnp.stack(pair), jnp.stack(robot))
+
+
+def widest_gap(
+    ux: Float[Array, "robots others *batch"],
+    uy: Float[Array, "robots others *batch"],
+    seen: Bool[Array, "robots others *batch"],
+) -> Gap:
+    """Returns the widest gap in what each robot sees: outwards at a corner of the hull, the way out inside.
+
+    Args:
+        ux: x of the unit vectors to the robots that each robot sees.
+        uy: y of them.
+        seen: Which robots each robot sees.
+    """
+    angle = jnp.where(seen, jnp.arctan2(jnp.where(seen, uy, 0.0), jnp.where(seen, ux, 1.0)), NO_GAP)
+    angle = jnp.sort(angle, axis=1)
+    # The last of those that are seen is followed by the first, a turn later.
+    first = angle[:, :1] + 2 * math.pi
+    following = jnp.concatenate([angle[:, 1:], jnp.full_like(first, NO_GAP)], axis=1)
+    following = jnp.where(following < NO_GAP, following, first)
+    gap = jnp.where(angle < NO_GAP, following - angle, 0.0) / math.pi
+    weight = gap**WIDEST
+    middle = angle + gap * (math.pi / 2)
+    # A robot that sees nobody has no gap, and no direction.
+    total = jnp.maximum(jnp.sum(weight, axis=1), 1e-9)
+    x, y, width = (jnp.sum(weight * value, axis=1) / total for value in (jnp.cos(middle), jnp.sin(middle), gap - 1))
+    return Gap(x, y, width)
 
 
 def mean_position(marked: Array, ux: Array, uy: Array, distance: Array) -> tuple[Array, Array]:

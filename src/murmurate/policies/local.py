@@ -14,6 +14,9 @@ So nothing grows with the swarm or its width, and the same weights act in swarms
 
 Lengths are taken in radii as the robot perceives them, so that its unit of length drops out; turning its frame turns
 its velocity with it. Where walls are perceived, nobody goes more than a share of its way to one in a step.
+
+Where `gaps` is set, robots also move along the direction of the widest gap in what they see. At a corner of the hull
+that is outwards; a robot that is enclosed by others has no better way to where everybody sees it.
 """
 
 from __future__ import annotations
@@ -38,7 +41,7 @@ from murmurate.policies.features import (
     robot_channels,
     surroundings,
 )
-from murmurate.policies.hull import CORNER_CHANNELS, EDGE_CHANNELS, hull
+from murmurate.policies.hull import CORNER_CHANNELS, EDGE_CHANNELS, GAP_CHANNELS, hull, widest_gap
 from murmurate.policies.layers import Dense, Linear, bounded
 from murmurate.policies.shield import limit_wall_approach, wall_directions
 from murmurate.types import Observation
@@ -63,9 +66,11 @@ class LocalPolicy(SharedPolicy):
         hidden: Widths of the node and the edge layer; one number serves for both.
         basis: Number of radial basis functions.
         walls: Whether robots act on the walls that they perceive; otherwise walls only limit their velocities.
+        gaps: Whether robots act on the widest gap in what they see.
     """
 
     walls: bool = eqx.field(default=False, static=True)
+    gaps: bool = eqx.field(default=False, static=True)
 
     perceives: ClassVar[bool] = True
 
@@ -84,6 +89,7 @@ class LocalNetwork(PolicyNetwork):
     head: Dense
     to_point: Dense
     to_walls: Dense | None
+    to_gap: Dense | None
     log_std: Float[Array, ""]
     basis: int = eqx.field(static=True)
     world: WorldConfig = eqx.field(static=True)
@@ -93,14 +99,16 @@ class LocalNetwork(PolicyNetwork):
         keys = jax.random.split(key, 5)
         nodes, edges = policy.hidden[0], policy.hidden[-1]
         robots = robot_channels(policy.basis, landmark, scale_free=True) + CORNER_CHANNELS
-        robots += policy.basis if policy.walls else 0
+        robots += (policy.basis if policy.walls else 0) + (GAP_CHANNELS if policy.gaps else 0)
+        pairs = pair_channels(policy.basis) + EDGE_CHANNELS + (GAP_CHANNELS if policy.gaps else 0)
         self.node = Dense(robots, nodes, keys[0], gain=5 / 3)
-        self.pair = Dense(pair_channels(policy.basis) + EDGE_CHANNELS, edges, keys[1])
+        self.pair = Dense(pairs, edges, keys[1])
         self.mine = Linear(nodes, edges, keys[2])
         self.head = Dense(edges, 4, keys[3], gain=0.05)
         self.to_point = Dense(nodes, 2, keys[4], gain=0.05)
-        # Of a key of its own, so that the other weights are those of a policy without.
+        # Of keys of their own, so that the other weights are those of a policy without.
         self.to_walls = Dense(nodes, policy.basis, jax.random.fold_in(key, 5), gain=0.05) if policy.walls else None
+        self.to_gap = Dense(nodes, 2, jax.random.fold_in(key, 6), gain=0.05) if policy.gaps else None
         self.log_std = jnp.zeros(())
         self.basis = policy.basis
         self.world = world
@@ -123,11 +131,20 @@ class LocalNetwork(PolicyNetwork):
             # In the whole plane there are none: that looks as walls do that are far away.
             none = jnp.zeros((self.basis, *scale.shape), scale.dtype)
             robots.append(none if walls is None else jnp.sum(self._near_walls(walls), axis=2))
+        pairs = [_compressed(around.pair), outline.pair]
+        gap = None if self.to_gap is None else widest_gap(around.ux, around.uy, seen)
+        if gap is not None:
+            # The length of the direction says how much wider this gap is than the others.
+            robots.append(jnp.stack([jnp.sqrt(gap.x**2 + gap.y**2 + 1e-6), gap.width]))
+            x, y = gap.x[:, None], gap.y[:, None]
+            pairs.append(jnp.stack([around.ux * x + around.uy * y, around.ux * y - around.uy * x]))
         nodes = jnp.tanh(self.node(jnp.concatenate(robots)))
-        pairs = jnp.concatenate([_compressed(around.pair), outline.pair])
-        edges = jnp.tanh(self.pair(pairs) + self.mine(nodes)[:, :, None])
+        edges = jnp.tanh(self.pair(jnp.concatenate(pairs)) + self.mine(nodes)[:, :, None])
         weight = self._weight(around)
         vx, vy = self._sum(around, self.head(edges), weight, seen)
+        if self.to_gap is not None and gap is not None:
+            g, h = self.to_gap(nodes)
+            vx, vy = vx + g * gap.x - h * gap.y, vy + g * gap.y + h * gap.x
         if self.landmark:
             ux, uy, _ = point(px, py, self.basis, world.safe_distance)
             g, h = self.to_point(nodes)
