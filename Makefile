@@ -70,7 +70,7 @@ seeds: $(VENV)/.core  ## trains sixteen seeds of A-F (an hour or two); writes do
 optima: $(VENV)/.core  ## searches for better patterns than the best known (two hours); keeps what is better
 	$(BIN)/python -m benchmarks.optima
 
-pretrained: $(VENV)/.core  ## trains the weights that come with the package (two hours on one core)
+pretrained: $(VENV)/.core  ## trains the weights that come with the package (an hour on two cores)
 	$(BIN)/python -m benchmarks.pretrained
 
 compare: $(VENV)/.core  ## learned policies and baselines, 1,000 starts a cell (hours); writes into docs/results.md and point.md

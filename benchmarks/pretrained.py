@@ -1,40 +1,68 @@
-"""Trains the weights that come with the package anew: `make pretrained` (two hours on one core).
+"""Trains the weights that come with the package anew: `make pretrained` (an hour on two cores).
 
 python -m benchmarks.pretrained [--runs runs] [--only-finished]
 
-Each folder of src/murmurate/pretrained holds the experiment.toml that its weights are trained by; what is finished in
-the runs folder is reused.
+Reinforcement learning discovers one policy for each objective (`benchmarks/recipes`). From there, gradients refine one
+policy for each folder of src/murmurate/pretrained, whose experiment.toml says how. Trainings run two at a time; what is
+finished in the runs folder is reused.
 """
 
 from __future__ import annotations
 
 import argparse
 import platform
+import subprocess
+import sys
+from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+from murmurate.cli.main import NOTHING_VALID, TOO_FEW_VALID
 from murmurate.runs import experiment, files
-from murmurate.runs.execute import InProcess, run_jobs
 from murmurate.runs.folder import MANIFEST, METRICS, RunFolder
-from murmurate.runs.grid import Grid
-from murmurate.runs.jobs import training_jobs
 from murmurate.runs.pretrained import FOLDER
+
+RECIPES = Path(__file__).parent / "recipes"
+
+AT_ONCE = 2
+"""Trainings at a time: each keeps one core busy."""
 
 EVERY = 10
 """Of the metrics, the package holds one row in so many: enough to draw how training went."""
 
 
+def train(trainings: Iterable[tuple[Path, Path, Path | None]]) -> None:
+    """Trains, a few at a time, each an experiment to a folder, from the policy of a finished run or from none."""
+
+    def run(training: tuple[Path, Path, Path | None]) -> None:
+        recipe, folder, initial = training
+        command = ["discover", str(recipe), "--out", str(folder), "--resume", "--quiet"]
+        print(f"training {folder.name}", flush=True)
+        result = subprocess.run(
+            [sys.executable, "-m", "murmurate", *command, *([] if initial is None else ["--from", str(initial)])],
+            check=False,
+        )
+        # What is refined need not be valid everywhere before.
+        if result.returncode not in (0, NOTHING_VALID, TOO_FEW_VALID):
+            raise SystemExit(result.returncode)
+
+    with ThreadPoolExecutor(AT_ONCE) as threads:
+        list(threads.map(run, trainings))
+
+
 def pack(folder: Path, to: Path) -> None:
-    """Copies what the package needs of a run."""
+    """Copies what the package needs of a run: not its evaluation, and not the kernel of the machine that trained it."""
     run, copy = RunFolder(folder), RunFolder(to)
     manifest = run.verify()
-    for name in manifest["checksums"]:
+    kept = [name for name in manifest["checksums"] if name == experiment.EXPERIMENT or name.startswith("policies/")]
+    for name in kept:
         files.make_folder((to / name).parent)
         files.write_bytes(to / name, (folder / name).read_bytes())
     (to / METRICS).unlink(missing_ok=True)
     copy.append_metrics(run.metrics()[EVERY - 1 :: EVERY])
-    # Not the kernel of the machine that happened to train them.
+    checksums = {name: manifest["checksums"][name] for name in kept}
     platform_name = f"{platform.system()} {platform.machine()}"
-    files.write_json(to / MANIFEST, {**manifest, "platform": platform_name})
+    files.write_json(to / MANIFEST, {**manifest, "platform": platform_name, "checksums": checksums})
 
 
 def main() -> None:
@@ -42,14 +70,16 @@ def main() -> None:
     parser.add_argument("--runs", type=Path, default=Path("runs"), help="where the runs are kept")
     parser.add_argument("--only-finished", action="store_true", help="train nothing, pack what is finished")
     options = parser.parse_args()
-    folders = sorted(path.parent for path in FOLDER.glob(f"*/*/{experiment.EXPERIMENT}"))
-    names = {f"pretrained-{to.parent.name}-{to.name}": to for to in folders}
+    folders = {path.parent: options.runs for path in sorted(FOLDER.glob(f"*/*/{experiment.EXPERIMENT}"))}
+    objectives = sorted({to.parent.name for to in folders})
+    discovered = {name: options.runs / f"discovered-{name}" for name in objectives}
+    refined = {to: options.runs / f"pretrained-{to.parent.name}-{to.name}" for to in folders}
     if not options.only_finished:
-        grid = Grid({name: experiment.load(to) for name, to in names.items()})
-        run_jobs(training_jobs(grid, options.runs), InProcess())
-    for name, to in names.items():
-        pack(options.runs / name, to)
-        print(f"packed {name}: {sum(path.stat().st_size for path in to.rglob('*') if path.is_file())} bytes")
+        train((RECIPES / f"{name}.toml", discovered[name], None) for name in objectives)
+        train((to / experiment.EXPERIMENT, run, discovered[to.parent.name]) for to, run in refined.items())
+    for to, run in refined.items():
+        pack(run, to)
+        print(f"packed {run.name}: {sum(path.stat().st_size for path in to.rglob('*') if path.is_file())} bytes")
 
 
 if __name__ == "__main__":

@@ -7,13 +7,12 @@ from math import acos, asin, atan2, hypot, log1p, pi, sin, tan
 import numpy as np
 
 
-def smooth_visible(positions: np.ndarray, radius: float, margin: float) -> list[float]:
-    """Each robot's share: the logarithm of how much of the others the nearer ones hide or nearly hide."""
-    robots, shares = len(positions), []
+def smooth_visible(positions: np.ndarray, radius: float, margin: float) -> float:
+    """The swarm's share: the logarithm of how much of the others the nearer ones hide or nearly hide, on average."""
+    robots, hidden = len(positions), 0.0
     for k in range(robots):
-        hidden = 0.0
         for i in range(robots):
-            lack = 0.0
+            total = 0.0
             for j in range(robots):
                 if len({i, j, k}) < 3:
                     continue
@@ -23,10 +22,10 @@ def smooth_visible(positions: np.ndarray, radius: float, margin: float) -> list[
                     continue
                 angle = acos(max(-1.0, min(1.0, float(to_i @ to_j) / (far * near))))
                 wide = (1 + margin) * (asin(radius / far) + asin(radius / near))
-                lack += max(0.0, 1 - sin(angle / 2) / sin(wide / 2)) ** 2
-            hidden += lack / (1 + lack)
-        shares.append(1 - log1p(10 / 3 * hidden) / log1p(10 / 3 * (robots - 1)))
-    return shares
+                lack = max(0.0, 1 - sin(angle / 2) / sin(wide / 2))
+                total += lack**2 / (lack + 0.03)
+            hidden += total / (1 + total) / robots
+    return 1 - log1p(10 / 3 * hidden) / log1p(10 / 3 * (robots - 1))
 
 
 def smooth_safety(positions: np.ndarray, safe_distance: float, margin: float) -> list[float]:

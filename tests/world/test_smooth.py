@@ -40,8 +40,8 @@ def test_signals_are_the_oracles(seed, robots, side):
     positions = drawn(seed, robots, side)
     radius = float(np.hypot(*smallest_ring(robots, RADIUS, SAFE).positions[0]))
     expected = {
-        "smooth_visible": smooth.smooth_visible(positions, RADIUS, 0.15),
-        "smooth_safety": smooth.smooth_safety(positions, SAFE, 0.05),
+        "smooth_visible": [smooth.smooth_visible(positions, RADIUS, 0.1)] * robots,
+        "smooth_safety": smooth.smooth_safety(positions, SAFE, 0.1),
         "compact": smooth.compact(positions, radius),
         "centered": [2 - np.hypot(*p) / radius for p in positions],
         "exposed": smooth.exposed(positions, 0.02),
@@ -92,12 +92,13 @@ def test_the_smallest_ring_is_as_compact_as_it_gets(signal):
         assert signal.value(configuration(ring(7, 1.0))) == pytest.approx(1)
 
 
-def test_no_robot_in_sight_is_the_worst():
-    """In a row everybody sees the next robot only, so the ends see one of three."""
+def test_what_is_hidden_counts_by_its_logarithm():
+    """In a row everybody sees the next robots only; moved aside far enough, the second one hides nobody."""
     row = np.array([[0.0, 0.0], [6.0, 0.0], [12.0, 0.0], [18.0, 0.0]])
-    shares = SmoothVisible()(configuration(row[:, :, None]))[:, 0]
-    assert shares[0] == pytest.approx(shares[3])
-    assert shares[1] > shares[0] > 0
+    aside, barely = row + np.array([[0, 0], [0, 9], [0, 0], [0, 0]]), row + np.array([[0, 0], [0, 0], [0, 0], [0, 3]])
+    whole, part, last = (SmoothVisible()(configuration(p[:, :, None]))[0, 0] for p in (row, aside, barely))
+    assert 0 < whole < last < part < 1
+    assert part - whole > 1 / 6  # One of three pairs that see no more of each other than half of what they should.
 
 
 def test_an_enclosed_robot_is_led_out_through_the_widest_gap():

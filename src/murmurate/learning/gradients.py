@@ -66,11 +66,11 @@ class GradientConfig:
     value_rate_end: float = 1e-4
     reward_scale: float = 0.03
     max_gradient: float = 1.0
-    max_state_gradient: float = 1.0
+    max_state_gradient: float = 10.0
     weights: Mapping[str, float] = field(
         default_factory=lambda: {
             "gathering": 1.0,
-            "smooth_safety": 20.0,
+            "smooth_safety": 5.0,
             "smooth_visible": 10.0,
             "exposed": 2.0,
         }

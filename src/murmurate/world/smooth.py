@@ -26,6 +26,10 @@ __all__ = ["Centered", "Compact", "Exposed", "SmoothSafety", "SmoothVisible"]
 STEEPNESS = 10 / 3
 """How steeply the first hidden robot counts against all of them."""
 
+SOFTNESS = 0.03
+"""Lack of room for a line of sight below which it counts by its square, and beyond which in proportion: a robot that
+is barely hidden is hidden."""
+
 
 @Signal.register("smooth_visible")
 class SmoothVisible(Signal):
@@ -33,19 +37,20 @@ class SmoothVisible(Signal):
 
     A robot i is hidden from k by a nearer robot j when the angle between them is less than the sum w of the half-angles
     that their discs cover. Each such pair counts by how far the chord of the angle is below that of (1 + margin) w, and
-    each robot by the logarithm of what it does not see: the last hidden robot matters, and so does one of many.
+    the swarm by the logarithm of what its robots do not see on average: the last hidden robot matters, and so does one
+    of many.
 
     Attributes:
         margin: Share of w by which a line of sight should pass.
     """
 
-    margin: float = eqx.field(default=0.15, kw_only=True)
+    margin: float = eqx.field(default=0.1, kw_only=True)
 
     def __check_init__(self) -> None:
         check_number("margin", self.margin, 0, MAX_MAGNITUDE)
 
     def __call__(self, configuration: Configuration) -> Float[Array, "robots *batch"]:
-        """Returns each robot's share: 1 where it sees all others with the margin, 0 where it sees none."""
+        """Returns the same for each robot: 1 where all see all others with the margin, 0 where nobody sees anybody."""
         xp, robots, radius = configuration.xp, configuration.positions.shape[0], configuration.world.radius
         dx, dy, distance, apart = _pairs(configuration)
         ux, uy = (xp.where(apart, d / distance, 0.0) for d in (dx, dy))
@@ -62,12 +67,14 @@ class SmoothVisible(Signal):
             # The gradient of the square root at 0 is not finite.
             chord = xp.where(square > 0, xp.sqrt(xp.where(square > 0, square, 1.0)), 0.0)
             lack = 1 - chord / (2 * (sine * jcosine + cosine * jsine))
-            return (xp.where(nearer & (lack > 0), lack**2, 0.0),)
+            lack = xp.where(nearer & (lack > 0), lack, 0.0)
+            return (lack**2 / (lack + SOFTNESS),)
 
         (total,) = sum_over_third_robots(shadow, (ux, uy, distance, sine, cosine))
         hidden = total / (1 + total)
-        count = _batch_last.fold(operator.add, hidden, 1)
-        return 1 - xp.log1p(STEEPNESS * count) / math.log1p(STEEPNESS * (robots - 1))
+        count = xp.mean(_batch_last.fold(operator.add, hidden, 1), axis=0)
+        share = 1 - xp.log1p(STEEPNESS * count) / math.log1p(STEEPNESS * (robots - 1))
+        return xp.broadcast_to(share, (robots, *share.shape))
 
 
 @Signal.register("smooth_safety")
@@ -78,7 +85,7 @@ class SmoothSafety(Signal):
         margin: Share of the safe distance by which robots should keep farther apart.
     """
 
-    margin: float = eqx.field(default=0.05, kw_only=True)
+    margin: float = eqx.field(default=0.1, kw_only=True)
 
     def __check_init__(self) -> None:
         check_number("margin", self.margin, 0, MAX_MAGNITUDE)
