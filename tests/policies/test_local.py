@@ -183,3 +183,25 @@ def test_velocities_do_not_grow_with_the_swarm():
         positions = jnp.asarray(np.vstack([[[0.0, 0.0]], far]), jnp.float32)
         mean.append(np.arctanh(np.linalg.norm(velocities(policy, positions, use="global")[0])))
     assert mean[1] < 3 * mean[0]
+
+
+def test_a_network_is_given_walls_and_gaps_that_have_no_effect_yet():
+    build = lambda **inputs: LocalPolicy(hidden=(16, 8), **inputs).networks(  # noqa: E731
+        WorldConfig(robots=6), True, jax.random.key(0)
+    )[0]
+    plain, template = build(), eqx.filter_eval_shape(lambda: build(walls=True, gaps=True))
+    wider = plain.with_inputs_of(template)
+    assert jax.tree.map(jnp.shape, eqx.filter(wider, eqx.is_array)) == jax.tree.map(
+        jnp.shape, eqx.filter(build(walls=True, gaps=True), eqx.is_array)
+    )
+    for walls in (False, True):
+        _, observation = observed(configuration(), use="visible", walls=walls)
+        np.testing.assert_allclose(act(wider, observation), act(plain, observation), atol=1e-6)
+    # They are there to be trained.
+    _, observation = observed(configuration() + 36.0, use="visible", walls=True)
+    slope = eqx.filter_grad(lambda p: jnp.sum(p(observation) ** 2))(wider)
+    for head in (slope.to_gap, slope.to_walls):
+        assert np.abs(head.weight).max() > 0
+    # What has all of them, or could only have walls before gaps, is left as it is.
+    for network in (build(walls=True, gaps=True), build(gaps=True)):
+        assert network.with_inputs_of(template) is network

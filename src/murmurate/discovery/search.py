@@ -135,6 +135,9 @@ class Search:
     def conclude(self, snapshot: Snapshot, policy: Any) -> Snapshot:
         """Appends a trained policy, evaluates from sigma, and decides whether the list is complete."""
         config, index = self.problem.discovery, len(snapshot.policies)
+        if self.problem.sizes:
+            # A process may map only so many pieces of code (65,530 on Linux), and programs for ten sizes are most.
+            jax.clear_caches()
         policies = (*snapshot.policies, policy)
         # Every policy's sigma* comes from running the whole list so far from where the base policy was trained.
         world = training_world(self.problem, 0, self.world.start, self.begin().sigma)

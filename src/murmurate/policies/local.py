@@ -156,6 +156,35 @@ class LocalNetwork(PolicyNetwork):
         velocity = bounded(vx, vy, world.max_speed)
         return velocity if walls is None else limit_wall_approach(velocity, walls)
 
+    def with_inputs_of(self, template: PolicyNetwork) -> PolicyNetwork:
+        """Returns this network with perceived walls and the widest gap as inputs, where the template has them."""
+        if not isinstance(template, LocalNetwork):
+            return self
+        # New columns come last: a network with gaps cannot be given walls.
+        later = self.to_gap is None and template.to_gap is not None
+        if not later and not (self.to_walls is None and self.to_gap is None and template.to_walls is not None):
+            return self
+
+        def widened(own: Array, other: Any) -> Array:
+            return jnp.pad(
+                own, [(0, max(wide - narrow, 0)) for narrow, wide in zip(own.shape, other.shape, strict=True)]
+            )
+
+        def silent(other: Dense | None) -> Dense | None:
+            return jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), other)
+
+        return eqx.tree_at(
+            lambda n: (n.node.weight, n.pair.weight, n.to_walls, n.to_gap),
+            self,
+            (
+                widened(self.node.weight, template.node.weight),
+                widened(self.pair.weight, template.pair.weight),
+                silent(template.to_walls) if self.to_walls is None else self.to_walls,
+                silent(template.to_gap) if self.to_gap is None else self.to_gap,
+            ),
+            is_leaf=lambda leaf: leaf is None,
+        )
+
     def _near_walls(self, walls: Array) -> Float[Array, "basis robots 4 *batch"]:
         """Returns the radial basis of the distance of each wall, faded out beyond `WALL_REACH`."""
         distance = wall_directions(walls)[1] / self.world.safe_distance

@@ -214,7 +214,7 @@ def _origin(initial: Run | None) -> dict[str, Any] | None:
 
 
 def _fit_initial(config: ExperimentConfig, initial: Run | None) -> tuple[Any, ...]:
-    """Returns the policies to begin with, for the world of this experiment.
+    """Returns the policies to begin with, for the world of this experiment and with its inputs.
 
     Raises:
         RunError: They are of other shapes than this experiment's.
@@ -222,7 +222,7 @@ def _fit_initial(config: ExperimentConfig, initial: Run | None) -> tuple[Any, ..
     policies = () if initial is None else initial.cascade.policies[: config.discovery.max_policies]
     templates = policy_templates(config, len(policies))
     return tuple(
-        files.fit_tree(policy, template, f"the {policy_name(index)} policy to begin with")
+        files.fit_tree(policy.with_inputs_of(template), template, f"the {policy_name(index)} policy to begin with")
         for index, (policy, template) in enumerate(zip(policies, templates, strict=True))
     )
 
