@@ -8,7 +8,7 @@ SEED ?= 0
 CONSTRAINTS ?= constraints.txt
 OUT ?= runs/$(EXPERIMENT)-equivariant-seed$(SEED)
 
-.PHONY: discover test pytest test-nightly lint dist docs figures-docs benchmark results seeds optima pretrained compare clean
+.PHONY: discover test pytest test-nightly lint dist docs figures-docs benchmark results seeds optima pretrained models compare clean
 
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint $(CONSTRAINTS) --editable
 
@@ -70,8 +70,11 @@ seeds: $(VENV)/.core  ## trains sixteen seeds of A-F (an hour or two); writes do
 optima: $(VENV)/.core  ## searches for better patterns than the best known (two hours); keeps what is better
 	$(BIN)/python -m benchmarks.optima
 
-pretrained: $(VENV)/.core  ## trains the weights that come with the package (an hour on two cores)
+pretrained: $(VENV)/.core  ## trains the weights that come with the package (an hour and a half on two cores)
 	$(BIN)/python -m benchmarks.pretrained
+
+models: $(VENV)/.core  ## the package's weights from every set of starts (hours); writes the tables of docs/models.md
+	$(BIN)/python -m benchmarks.models
 
 compare: $(VENV)/.core  ## learned policies and baselines, 1,000 starts a cell (hours); writes into docs/results.md and point.md
 	$(BIN)/python -m benchmarks.compare

@@ -1,10 +1,10 @@
-"""Trains the weights that come with the package anew: `make pretrained` (an hour on two cores).
+"""Trains the weights that come with the package anew: `make pretrained` (an hour and a half on two cores).
 
 python -m benchmarks.pretrained [--runs runs] [--only-finished]
 
-Reinforcement learning discovers one policy for each objective (`benchmarks/recipes`). From there, gradients refine one
-policy for each folder of src/murmurate/pretrained, whose experiment.toml says how. Trainings run two at a time; what is
-finished in the runs folder is reused.
+Each folder of src/murmurate/pretrained holds the experiment.toml that its weights are trained by. Where there is a
+recipe of its name in benchmarks/recipes, that is trained first: reinforcement learning discovers what gradients then
+refine. Trainings run two at a time; what is finished in the runs folder is reused.
 """
 
 from __future__ import annotations
@@ -70,14 +70,15 @@ def main() -> None:
     parser.add_argument("--runs", type=Path, default=Path("runs"), help="where the runs are kept")
     parser.add_argument("--only-finished", action="store_true", help="train nothing, pack what is finished")
     options = parser.parse_args()
-    folders = {path.parent: options.runs for path in sorted(FOLDER.glob(f"*/*/{experiment.EXPERIMENT}"))}
-    objectives = sorted({to.parent.name for to in folders})
-    discovered = {name: options.runs / f"discovered-{name}" for name in objectives}
-    refined = {to: options.runs / f"pretrained-{to.parent.name}-{to.name}" for to in folders}
+    folders = sorted(path.parent for path in FOLDER.glob(f"*/*/{experiment.EXPERIMENT}"))
+    names = {to: f"{to.parent.name}-{to.name}" for to in folders}
+    trained = {to: options.runs / f"pretrained-{name}" for to, name in names.items()}
+    recipes = {to: path for to, name in names.items() if (path := RECIPES / f"{name}.toml").exists()}
+    discovered = {to: options.runs / f"discovered-{names[to]}" for to in recipes}
     if not options.only_finished:
-        train((RECIPES / f"{name}.toml", discovered[name], None) for name in objectives)
-        train((to / experiment.EXPERIMENT, run, discovered[to.parent.name]) for to, run in refined.items())
-    for to, run in refined.items():
+        train((recipe, discovered[to], None) for to, recipe in recipes.items())
+        train((to / experiment.EXPERIMENT, run, discovered.get(to)) for to, run in trained.items())
+    for to, run in trained.items():
         pack(run, to)
         print(f"packed {run.name}: {sum(path.stat().st_size for path in to.rglob('*') if path.is_file())} bytes")
 
