@@ -233,6 +233,12 @@ class LocalValue(eqx.Module):
         return self.valuation(jnp.concatenate([_compressed(around.robot), walls]))
 
 
+ROUNDING = 1e-3
+"""Features well below this are taken as 0. Robots in line are aside of each other by rounding alone, which is not small
+beside the angles at which distant robots hide each other, and many robots add up."""
+
+
 def _compressed(features: Float[Array, "features *batch"]) -> Float[Array, "features *batch"]:
     """Compresses what is counted: odd, all but linear up to 1, logarithmic beyond."""
-    return jnp.arcsinh(features)
+    square = features * features
+    return jnp.arcsinh(features) * (square / (square + ROUNDING**2))
