@@ -1,4 +1,4 @@
-"""Sums over robots, unrolled for few robots and looped for many."""
+"""Sums over robots: loops in Python for NumPy, loops of the program for JAX."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from murmurate.geometry._batch_last.loops import MAX_UNROLLED, sum_over_third_robots, sum_terms
+from murmurate.geometry._batch_last.loops import sum_over_third_robots, sum_terms
 
-TERMS = np.random.default_rng(0).normal(size=(MAX_UNROLLED + 5, 3))
+TERMS = np.random.default_rng(0).normal(size=(15, 3))
 
 
-@pytest.mark.parametrize("count", [1, 2, MAX_UNROLLED, MAX_UNROLLED + 1, MAX_UNROLLED + 5])
+@pytest.mark.parametrize("count", [1, 2, 10, 15])
 def test_all_terms_are_summed_and_have_a_gradient(count):
     def total(terms):
         first, second = sum_terms(lambda i: (terms[i], terms[i] ** 2), count)
@@ -31,7 +31,7 @@ def pair_terms(first, other, same):
     return jnp.where(same, 0.0, x * jnp.sin(a) + y * b), jnp.where(same, 1.0, a * a * y)
 
 
-@pytest.mark.parametrize("robots", [1, 2, MAX_UNROLLED + 2])
+@pytest.mark.parametrize("robots", [1, 2, 12])
 def test_the_gradient_of_a_sum_over_third_robots_is_that_of_the_same_sum_written_out(robots):
     rng = np.random.default_rng(robots)
     arrays = tuple(jnp.asarray(rng.normal(size=(robots, robots, 2)), jnp.float32) for _ in range(2))
