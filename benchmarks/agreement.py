@@ -57,10 +57,10 @@ def _rows(device: jax.Device) -> Iterator[tuple[Any, ...]]:
         positions = (positions * rng.uniform(0.3, 1.0, (1, 1, worlds))).astype(np.float32)
         velocities = rng.uniform(-1, 1, positions.shape).astype(np.float32)
         radius, far = float(world.config.radius), float(world.config.scan_radius)
-        seen = _both(device, lambda x, r=radius, far=far: _batch_last.visible(x, r, far), positions)
-        yield _flags("who sees whom", robots, *seen)
-        met = _both(device, lambda x, v, r=radius: _batch_last.in_contact(x, v, r), positions, velocities)
-        yield _flags("who touches", robots, *met)
+        visible_pairs = _both(device, lambda x, r=radius, far=far: _batch_last.visible(x, r, far), positions)
+        yield _flags("who sees whom", robots, *visible_pairs)
+        contacts = _both(device, lambda x, v, r=radius: _batch_last.in_contact(x, v, r), positions, velocities)
+        yield _flags("who touches", robots, *contacts)
         yield _numbers("signals", robots, *_both(device, lambda world, x: world.signals(x), world, positions))
     for kind in ("equivariant", "central"):
         yield _curve(f"{UPDATES} updates, {kind}", _elsewhere(kind), _learned(kind))
@@ -68,56 +68,64 @@ def _rows(device: jax.Device) -> Iterator[tuple[Any, ...]]:
 
 def _both(device: jax.Device, program: Callable[..., Any], *arguments: Any) -> tuple[Any, Any]:
     """Runs a program on the CPU and on a device."""
-    found = []
-    for place in (jax.devices("cpu")[0], device):
-        with jax.default_device(place):
-            found.append(jax.device_get(jax.jit(program)(*jax.device_put(arguments, place))))
-    return found[0], found[1]
+    results = []
+    for target in (jax.devices("cpu")[0], device):
+        with jax.default_device(target):
+            results.append(jax.device_get(jax.jit(program)(*jax.device_put(arguments, target))))
+    return results[0], results[1]
 
 
 def _learned(kind: str) -> np.ndarray:
     """Returns the learning curve of the first updates of a policy, on the devices of this process."""
-    whole = chunk(kind, Size(updates=UPDATES))
-    return np.asarray(train_chunk(whole.state, whole.env, whole.hyper, whole.shape, UPDATES)[1]["reward"])
+    training = chunk(kind, Size(updates=UPDATES))
+    return np.asarray(train_chunk(training.state, training.env, training.hyper, training.shape, UPDATES)[1]["reward"])
 
 
 def _elsewhere(kind: str) -> np.ndarray:
     """Returns the same of a process that has the CPU alone."""
     command = [sys.executable, "-m", "benchmarks.agreement", "--curve", kind]
-    done = subprocess.run(command, env=os.environ | {"JAX_PLATFORMS": "cpu"}, capture_output=True, check=True)
-    return np.asarray(json.loads(done.stdout))
+    process = subprocess.run(command, env=os.environ | {"JAX_PLATFORMS": "cpu"}, capture_output=True, check=True)
+    return np.asarray(json.loads(process.stdout))
 
 
-def _flags(what: str, robots: int, ours: Any, theirs: Any) -> tuple[Any, ...]:
-    different = int((ours != theirs).sum())
-    fine = different <= max(1, FLAGS * ours.size)
-    return what, str(robots), f"{ours.size:,}", f"{different:,}", f"{FLAGS:g} of them", "yes" if fine else "no", fine
-
-
-def _numbers(what: str, robots: int, ours: Any, theirs: Any) -> tuple[Any, ...]:
-    most = max(float(np.abs(ours[name] - theirs[name]).max()) for name in ours)
-    size = sum(value.size for value in ours.values())
+def _flags(label: str, robots: int, on_cpu: Any, on_device: Any) -> tuple[Any, ...]:
+    different = int((on_cpu != on_device).sum())
+    agrees = different <= max(1, FLAGS * on_cpu.size)
     return (
-        what,
-        robots,
-        f"{size:,}",
-        f"by {most:.1e}",
-        f"{NUMBERS:g}",
-        "yes" if most <= NUMBERS else "no",
-        most <= NUMBERS,
+        label,
+        str(robots),
+        f"{on_cpu.size:,}",
+        f"{different:,}",
+        f"{FLAGS:g} of them",
+        "yes" if agrees else "no",
+        agrees,
     )
 
 
-def _curve(what: str, ours: Any, theirs: Any) -> tuple[Any, ...]:
-    most = float(np.abs(ours - theirs).max() / np.abs(ours).max())
+def _numbers(label: str, robots: int, on_cpu: Any, on_device: Any) -> tuple[Any, ...]:
+    difference = max(float(np.abs(on_cpu[name] - on_device[name]).max()) for name in on_cpu)
+    size = sum(value.size for value in on_cpu.values())
     return (
-        what,
+        label,
+        robots,
+        f"{size:,}",
+        f"by {difference:.1e}",
+        f"{NUMBERS:g}",
+        "yes" if difference <= NUMBERS else "no",
+        difference <= NUMBERS,
+    )
+
+
+def _curve(label: str, on_cpu: Any, on_device: Any) -> tuple[Any, ...]:
+    difference = float(np.abs(on_cpu - on_device).max() / np.abs(on_cpu).max())
+    return (
+        label,
         10,
-        f"{ours.size:,}",
-        f"by {most:.1e}",
+        f"{on_cpu.size:,}",
+        f"by {difference:.1e}",
         f"{CURVES:g}",
-        "yes" if most <= CURVES else "no",
-        most <= CURVES,
+        "yes" if difference <= CURVES else "no",
+        difference <= CURVES,
     )
 
 

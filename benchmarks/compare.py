@@ -51,8 +51,8 @@ HARD = (("--methods", "learned,circle", "--sensing", "visible,global", *HARD_STA
 
 def compare(parts: Sequence[tuple[str, ...]], folder: Path, page: Path) -> None:
     """Runs every part into one folder, and puts the table into a page."""
-    for place, part in enumerate(parts):
-        last = place == len(parts) - 1
+    for index, part in enumerate(parts):
+        last = index == len(parts) - 1
         status = murmurate(["compare", *part, "--out", str(folder), *(["--into", str(page)] if last else [])])
         if status:
             raise SystemExit(status)

@@ -44,9 +44,9 @@ def figure(data: Mapping[str, Any]) -> Figure:
     Returns:
         A figure 10 inches wide.
     """
-    about = data["machine"]
+    machine = data["machine"]
     page = new_page(4.75)
-    draw_head(page, "Cost of a step", about["device"] or f"{about['processor']}, {about['cores']} cores")
+    draw_head(page, "Cost of a step", machine["device"] or f"{machine['processor']}, {machine['cores']} cores")
     left = add_axes(page, LEFT + 0.6, 0.5, 5.0, 3.45)
     style_axes(left, "One step of one world, in the largest batch timed", "robots N", "time", pad=8)
     _draw_costs(left, data)
@@ -79,7 +79,7 @@ def _draw_costs(ax: Axes, data: Mapping[str, Any]) -> None:
 
 def _draw_fit(ax: Axes, robots: Sequence[int], seconds: Sequence[float], fit: Mapping[str, Any], color: str) -> None:
     """Draws a line of the fitted power through the middle of its points."""
-    inside = [place for place, size in enumerate(robots) if fit["low"] <= size <= fit["high"]]
+    inside = [index for index, size in enumerate(robots) if fit["low"] <= size <= fit["high"]]
     middle = np.log(np.take(robots, inside)).mean(), np.log(np.take(seconds, inside)).mean()
     ends = np.array([fit["low"], fit["high"]], float)
     ax.plot(ends, np.exp(middle[1] + fit["exponent"] * (np.log(ends) - middle[0])), color=color, linewidth=1.0)
@@ -91,10 +91,10 @@ def _draw_speeds(ax: Axes, cases: Sequence[Mapping[str, Any]]) -> None:
     keys = []
     stepping = [row for row in cases if (row["part"], row["name"]) == (SIZED, STEP)]
     sizes = [size for size in _SHOWN if size in {row["robots"] for row in stepping}]
-    for place, size in enumerate(sizes):
+    for index, size in enumerate(sizes):
         rows = [row for row in stepping if row["robots"] == size]
         # The same hue, the lighter the larger: ten robots, which the other projects have as well, are drawn boldest.
-        style: dict[str, Any] = {"color": policy_color(0), "alpha": 1.0 if size == peers.AGENTS else 0.85 - 0.2 * place}
+        style: dict[str, Any] = {"color": policy_color(0), "alpha": 1.0 if size == peers.AGENTS else 0.85 - 0.2 * index}
         xs, ys = ([row[name] for row in rows] for name in ("worlds", "per_second"))
         ax.plot(xs, ys, marker="o", markersize=4, linewidth=1.8 if size == peers.AGENTS else 1.0, **style)
         ax.annotate(f"N = {size}", (xs[-1], ys[-1]), (6, 0), textcoords="offset points", fontsize=TEXT, va="center")

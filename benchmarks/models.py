@@ -108,15 +108,15 @@ def page(rows: Sequence[Mapping[str, Any]]) -> str:
     measured = [row for row in rows if row["result"]]
     total = sum(row["cell"]["episodes"] for row in measured)
     failures = ", ".join(f"{name} {sum(row['result'][name] for row in measured)}" for name in FAILURES)
-    most = max(row["cell"]["episodes"] for row in measured)
-    parts = [f"Of {total:,} episodes, up to {most:,} a cell: {failures}."]
+    largest = max(row["cell"]["episodes"] for row in measured)
+    parts = [f"Of {total:,} episodes, up to {largest:,} a cell: {failures}."]
     for objective, sensing in sorted({(row["cell"]["objective"], row["cell"]["sensing"]) for row in rows}):
-        own = [r for r in rows if (r["cell"]["objective"], r["cell"]["sensing"]) == (objective, sensing)]
+        model_rows = [r for r in rows if (r["cell"]["objective"], r["cell"]["sensing"]) == (objective, sensing)]
         for title, schedulers, families in (
             ("FSYNC", ("fsync",), tuple(FAMILIES)),
             ("other schedulers", SCHEDULERS[1:], FEW),
         ):
-            if chosen := [row for row in own if row["cell"]["scheduler"] in schedulers]:
+            if chosen := [row for row in model_rows if row["cell"]["scheduler"] in schedulers]:
                 parts += [f"### {objective}, {sensing}, {title}", _table(chosen, families, len(schedulers) > 1)]
     return "\n\n".join(parts)
 
@@ -147,17 +147,17 @@ def main() -> None:
     parser.add_argument("--docs", type=Path, default=Path("docs"), help="where models.md and models.json are")
     options = parser.parse_args()
     record, card = options.docs / "models.json", options.docs / "models.md"
-    kept = (
+    measured = (
         {json.dumps([row["cell"], row["weights"]]): row for row in files.read_json(record)} if record.exists() else {}
     )
     rows = []
     for cell in cells(options.episodes, [*map(int, options.robots.split(","))], options.schedulers.split(",")):
         key = json.dumps([asdict(cell), weights_of(cell)])
-        if key not in kept:
-            kept[key] = {"cell": asdict(cell), "weights": weights_of(cell), "result": measure(cell)}
-            print(cell, kept[key]["result"], flush=True)
-        rows.append(kept[key])
-        files.write_json(record, [*rows, *(row for key, row in kept.items() if row not in rows)])
+        if key not in measured:
+            measured[key] = {"cell": asdict(cell), "weights": weights_of(cell), "result": measure(cell)}
+            print(cell, measured[key]["result"], flush=True)
+        rows.append(measured[key])
+        files.write_json(record, [*rows, *(row for key, row in measured.items() if row not in rows)])
     before, _, rest = card.read_text(encoding="utf-8").partition(BEGIN)
     text = f"{before}{BEGIN}\n{page(rows)}\n{END}{rest.partition(END)[2]}"
     files.write_text(card, text)

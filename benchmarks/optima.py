@@ -47,11 +47,11 @@ def target(experiment: str, robots: int) -> tuple[Target, str]:
     return Target(world, config.objective), " ".join(["murmurate optimum", experiment, *flags])
 
 
-def improve(found: dict[str, BestKnown], key: str, entry: BestKnown) -> bool:
+def improve(table: dict[str, BestKnown], key: str, entry: BestKnown) -> bool:
     """Puts an entry in the place of a worse one."""
-    if not entry.target.is_valid(entry.positions) or (key in found and entry.value <= found[key].value + 1e-12):
+    if not entry.target.is_valid(entry.positions) or (key in table and entry.value <= table[key].value + 1e-12):
         return False
-    found[key] = entry
+    table[key] = entry
     return True
 
 
@@ -72,23 +72,23 @@ def main() -> None:
     parser.add_argument("--add", type=Path, help="a record that `murmurate optimum` or `evaluate` wrote")
     options = parser.parse_args()
     entries = json.loads(TABLE.read_text("utf-8")) if TABLE.exists() else []
-    found = {key_of(entry): entry for entry in map(BestKnown.from_dict, entries)}
+    table = {key_of(entry): entry for entry in map(BestKnown.from_dict, entries)}
     if options.add:
         entry = BestKnown.from_dict(json.loads(options.add.read_text("utf-8")))
-        print("added" if improve(found, key_of(entry), entry) else "the table has one as good")
-        write(found)
-        draw(found)
+        print("added" if improve(table, key_of(entry), entry) else "the table has one as good")
+        write(table)
+        draw(table)
         return
     # From large to small: without one of its robots, a good pattern is a good start for one robot less.
     for robots in reversed(range(options.robots[0], options.robots[1] + 1)):
         for experiment in options.families:
             for seed in options.seeds:
-                work(found, experiment, robots, seed, options)
-                write(found)
-    draw(found)
+                work(table, experiment, robots, seed, options)
+                write(table)
+    draw(table)
 
 
-def work(found: dict[str, BestKnown], experiment: str, robots: int, seed: int, options: argparse.Namespace) -> None:
+def work(table: dict[str, BestKnown], experiment: str, robots: int, seed: int, options: argparse.Namespace) -> None:
     """Searches one place of the table, and checks what the table then has by basin hopping."""
     begun = time.perf_counter()
     sought, command = target(experiment, robots)
@@ -101,20 +101,20 @@ def work(found: dict[str, BestKnown], experiment: str, robots: int, seed: int, o
     optima = search(config)
     best = BestKnown.from_target(sought, optima[0].positions, command)
     key = key_of(best)
-    better = improve(found, key, best)
-    parent = found.get(f"{key[:-2]}{robots + 1:02}")
+    better = improve(table, key, best)
+    parent = table.get(f"{key[:-2]}{robots + 1:02}")
     for entry in () if parent is None else heirs(parent, sought):
-        better |= improve(found, key, entry)
+        better |= improve(table, key, entry)
     checked = hop(config) if options.hops else None
     if checked and checked.valid:
         entry = BestKnown.from_target(sought, checked.positions, f"{command} --hops {options.hops}")
-        better |= improve(found, key, entry)
-        reached = max(checked.value, found[key].hop or checked.value)
-        found[key] = replace(found[key], hop=reached)
-    values = " ".join(f"{one.value:.7f}{'' if one.valid else '!'}" for one in optima[:4])
+        better |= improve(table, key, entry)
+        reached = max(checked.value, table[key].hop or checked.value)
+        table[key] = replace(table[key], hop=reached)
+    values = " ".join(f"{optimum.value:.7f}{'' if optimum.valid else '!'}" for optimum in optima[:4])
     hopped = f"hop {checked.value:.7f}{'' if checked.valid else '!'}" if checked else ""
-    took = time.perf_counter() - begun
-    print(f"{experiment} {robots:2} {values} {hopped} {'BETTER' if better else ''} {took:.0f} s", flush=True)
+    seconds = time.perf_counter() - begun
+    print(f"{experiment} {robots:2} {values} {hopped} {'BETTER' if better else ''} {seconds:.0f} s", flush=True)
 
 
 def heirs(parent: BestKnown, sought: Target) -> Iterator[BestKnown]:
@@ -124,14 +124,14 @@ def heirs(parent: BestKnown, sought: Target) -> Iterator[BestKnown]:
         yield BestKnown.from_target(sought, positions, "python -m benchmarks.optima")
 
 
-def write(found: dict[str, BestKnown]) -> None:
+def write(table: dict[str, BestKnown]) -> None:
     """Writes the table."""
-    TABLE.write_text(best_known.to_json(found[key] for key in sorted(found)), encoding="utf-8")
+    TABLE.write_text(best_known.to_json(table[key] for key in sorted(table)), encoding="utf-8")
 
 
-def draw(found: dict[str, BestKnown]) -> None:
+def draw(table: dict[str, BestKnown]) -> None:
     """Draws the best-known patterns of one family: robots of radius 1 that gather anywhere."""
-    entries = [found[key] for key in sorted(found) if key.startswith("1 5 C2 ") and found[key].robots > 2]
+    entries = [table[key] for key in sorted(table) if key.startswith("1 5 C2 ") and table[key].robots > 2]
     patterns = [
         plots.PlatePattern(
             upright(entry.positions),

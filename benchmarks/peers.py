@@ -54,14 +54,14 @@ def _jaxmarl(worlds: int, steps: int) -> Case:
         actions = jax.random.randint(jax.random.key(1), (steps, env.num_agents, worlds), 0, 5)
         state = jax.jit(jax.vmap(env.reset))(keys[0])[1]
 
-        def one(state: Any, now: tuple[Any, Any]) -> tuple[Any, Any]:
+        def step(state: Any, now: tuple[Any, Any]) -> tuple[Any, Any]:
             key, action = now
             by_agent = dict(zip(env.agents, action, strict=True))
             # Its observations are not asked for, so XLA leaves them out: to JaxMARL's advantage.
             _, state, reward, done, _ = jax.vmap(env.step)(key, state, by_agent)
             return state, (reward, done["__all__"])
 
-        run = jax.jit(lambda state, keys, actions: jax.lax.scan(one, state, (keys, actions)))
+        run = jax.jit(lambda state, keys, actions: jax.lax.scan(step, state, (keys, actions)))
         return lambda: run(state, keys, actions)
 
     return Case(PART, JAXMARL, worlds * steps, prepare, AGENTS, worlds)
@@ -97,10 +97,10 @@ def _stable_baselines() -> Case:
     envs, rollout = 8, 64
 
     def prepare() -> Callable[[], Any]:
-        ours = importlib.import_module("murmurate.interop.gymnasium")
+        environments = importlib.import_module("murmurate.interop.gymnasium")
         ppo = importlib.import_module("stable_baselines3").PPO
         make = importlib.import_module("stable_baselines3.common.env_util").make_vec_env
-        env = make(ours.ENV_ID, n_envs=envs, seed=0, env_kwargs={"robots": AGENTS, "objective": "C1"})
+        env = make(environments.ENV_ID, n_envs=envs, seed=0, env_kwargs={"robots": AGENTS, "objective": "C1"})
         model = ppo("MlpPolicy", env, n_steps=rollout, batch_size=256, seed=0, device="cpu")
 
         def run() -> int:

@@ -54,13 +54,13 @@ def pack(folder: Path, to: Path) -> None:
     """Copies what the package needs of a run: not its evaluation, and not the kernel of the machine that trained it."""
     run, copy = RunFolder(folder), RunFolder(to)
     manifest = run.verify()
-    kept = [name for name in manifest["checksums"] if name == experiment.EXPERIMENT or name.startswith("policies/")]
-    for name in kept:
+    names = [name for name in manifest["checksums"] if name == experiment.EXPERIMENT or name.startswith("policies/")]
+    for name in names:
         files.make_folder((to / name).parent)
         files.write_bytes(to / name, (folder / name).read_bytes())
     (to / METRICS).unlink(missing_ok=True)
     copy.append_metrics(run.metrics()[EVERY - 1 :: EVERY])
-    checksums = {name: manifest["checksums"][name] for name in kept}
+    checksums = {name: manifest["checksums"][name] for name in names}
     platform_name = f"{platform.system()} {platform.machine()}"
     files.write_json(to / MANIFEST, {**manifest, "platform": platform_name, "checksums": checksums})
 

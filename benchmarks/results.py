@@ -44,8 +44,8 @@ def other_starts(run: Run) -> list[str]:
     """Evaluates one run from every kind of start; returns the cells of a row."""
     world = run.experiment.world
     cells = []
-    for place, start in enumerate(OTHER_STARTS.values()):
-        points = draw_starts(start.prepare(world), prng.key(10_000 + place), EPISODES, world)
+    for index, start in enumerate(OTHER_STARTS.values()):
+        points = draw_starts(start.prepare(world), prng.key(10_000 + index), EPISODES, world)
         trajectories = run.rollout(points)
         validity = check_validity(trajectories, world)
         bound = np.mean([bound_steps(a, b, world.max_speed) for a, b in zip(points, trajectories.final, strict=True)])
@@ -171,7 +171,7 @@ def main() -> None:
     grid = sum(grids[1:], grids[0])
     if not options.only_finished:
         run_jobs(training_jobs(grid, options.runs), InProcess())
-    finished = [options.runs / name for name, held in grid.check(options.runs).items() if held == "finished"]
+    finished = [options.runs / name for name, state in grid.check(options.runs).items() if state == "finished"]
     if not finished:
         raise SystemExit(f"no finished run in {options.runs}")
     write(finished, options.out)

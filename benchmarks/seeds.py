@@ -56,22 +56,22 @@ class Study:
 def study(experiment: str, seeds: int, runs: Path) -> Study:
     """Sorts what the runs of one experiment discovered, anneals the same problem, and compares."""
     folders = [runs / f"{experiment}-equivariant-seed{seed}" for seed in range(seeds)]
-    found = [finding for folder in folders for finding in catalogues.read_findings(folder)]
-    ours = Catalogue.from_findings(found) if found else None
-    theirs = Catalogue.from_findings(anneal(experiment))
-    if ours is None:
-        return Study(experiment, None, theirs, (), (), theirs.classes)
-    ends = [finding.positions for finding in theirs.findings]
-    unseen = unmatched(ours, ends)
+    findings = [finding for folder in folders for finding in catalogues.read_findings(folder)]
+    discovered = Catalogue.from_findings(findings) if findings else None
+    reference = Catalogue.from_findings(anneal(experiment))
+    if discovered is None:
+        return Study(experiment, None, reference, (), (), reference.classes)
+    ends = [finding.positions for finding in reference.findings]
+    unseen = unmatched(discovered, ends)
     tight = [finding for pattern in unseen if (finding := _polished(experiment, pattern)) is not None]
     tightened = unmatched(Catalogue.from_findings(tight), ends) if tight else ()
     # By the same measure: the annealed classes of which no member is one of the runs' representatives.
     missed = tuple(
         pattern
-        for pattern in theirs.classes
-        if len(unmatched(ours, [member.positions for member in pattern.members])) == len(ours.classes)
+        for pattern in reference.classes
+        if len(unmatched(discovered, [member.positions for member in pattern.members])) == len(discovered.classes)
     )
-    return Study(experiment, ours, theirs, unseen, tightened, missed)
+    return Study(experiment, discovered, reference, unseen, tightened, missed)
 
 
 def _polished(experiment: str, pattern: PatternClass) -> Finding | None:
@@ -86,26 +86,31 @@ def anneal(experiment: str) -> list[Finding]:
     """Returns the valid patterns that annealing ends in."""
     config = preset(experiment)
     searches = [OptimumConfig(config.world, config.objective, polished=POLISHED, seed=seed) for seed in range(SEARCHES)]
-    ends = [(search, place, one) for search in searches for place, one in enumerate(annealed(search)) if one.valid]
-    return [_finding(experiment, search, place, one) for search, place, one in ends]
+    ends = [
+        (search, index, formation)
+        for search in searches
+        for index, formation in enumerate(annealed(search))
+        if formation.valid
+    ]
+    return [_finding(experiment, search, index, formation) for search, index, formation in ends]
 
 
-def _finding(experiment: str, search: OptimumConfig, place: int, one: Formation) -> Finding:
+def _finding(experiment: str, search: OptimumConfig, index: int, formation: Formation) -> Finding:
     world = search.world
     return Finding(
-        positions=one.positions,
+        positions=formation.positions,
         radius=world.radius,
         safe_distance=world.safe_distance,
         scan_radius=world.scan_radius,
         objective=search.objective,
-        value=one.value,
+        value=formation.value,
         gap=None,
         experiment=experiment,
         policy="annealing",
         start="none",
         seed=search.seed,
         run=f"annealing {search.seed}",
-        episode=place,
+        episode=index,
     )
 
 
@@ -115,16 +120,16 @@ HEADER = (
 )
 
 
-def row(one: Study, seeds: int) -> tuple[str, ...]:
+def row(result: Study, seeds: int) -> tuple[str, ...]:
     """Returns one experiment's row of the table."""
-    paper, episodes = EXPERIMENTS[one.experiment], seeds * EPISODES
-    classes = one.catalogue.classes if one.catalogue else ()
-    findings = one.catalogue.findings if one.catalogue else ()
+    paper, episodes = EXPERIMENTS[result.experiment], seeds * EPISODES
+    classes = result.catalogue.classes if result.catalogue else ()
+    findings = result.catalogue.findings if result.catalogue else ()
     gaps = [finding.gap / (finding.gap + finding.value) for finding in findings if finding.gap is not None]
     several = [pattern for pattern in classes if len(pattern.seeds) > 1]
-    counts = (classes, several, one.unseen, one.tightened, one.annealed.classes, one.missed)
+    counts = (classes, several, result.unseen, result.tightened, result.annealed.classes, result.missed)
     return (
-        *(one.experiment, str(paper.robots), paper.objective),
+        *(result.experiment, str(paper.robots), paper.objective),
         f"{len({finding.run for finding in findings})} of {seeds}",
         f"{len(findings)} of {episodes}",
         f"{100 * min(gaps):.2f}%" if gaps else table.NONE,
@@ -134,23 +139,23 @@ def row(one: Study, seeds: int) -> tuple[str, ...]:
 
 def plate(robots: int, studies: Sequence[Study], path: Path) -> None:
     """Draws the commonest patterns of a swarm size, those of both objectives together, best first."""
-    found = [finding for one in studies if one.catalogue for finding in one.catalogue.findings]
-    if not found:
+    findings = [finding for result in studies if result.catalogue for finding in result.catalogue.findings]
+    if not findings:
         return
-    everything = Catalogue.from_findings(found)
+    everything = Catalogue.from_findings(findings)
     commonest = sorted(everything.classes, key=lambda pattern: -pattern.count)[:MAX_DRAWN]
     shown = sorted(commonest, key=lambda pattern: everything.classes.index(pattern))
-    subtitle = f"{len(everything.classes)} distinct among {len(found)} valid patterns; "
+    subtitle = f"{len(everything.classes)} distinct among {len(findings)} valid patterns; "
     subtitle += "all" if len(shown) == len(everything.classes) else f"the {len(shown)} that were found most often"
-    pictures = [picture(pattern, len(found)) for pattern in shown]
+    pictures = [picture(pattern, len(findings)) for pattern in shown]
     plots.save(plots.plate_figure(pictures, f"Patterns of {robots} robots", subtitle, columns=7), path, dpi=110)
 
 
-def picture(pattern: PatternClass, found: int) -> plots.PlatePattern:
+def picture(pattern: PatternClass, total: int) -> plots.PlatePattern:
     """Captions one pattern of a plate."""
     best, symbol = pattern.representative, pattern.symmetry.symbol
     caption = "+".join(map(str, pattern.layers)) + ("" if not symbol else f" · {symbol}")
-    note = f"{best.objective} {best.value:.4f} · {100 * pattern.count / found:.1f}%"
+    note = f"{best.objective} {best.value:.4f} · {100 * pattern.count / total:.1f}%"
     return plots.PlatePattern(upright(best.positions), best.radius, best.scan_radius, caption, note)
 
 
@@ -203,16 +208,16 @@ def write(studies: Sequence[Study], seeds: int, out: Path) -> None:
     figures = out / "figures"
     figures.mkdir(parents=True, exist_ok=True)
     plates = []
-    for robots in sorted({EXPERIMENTS[one.experiment].robots for one in studies}):
+    for robots in sorted({EXPERIMENTS[result.experiment].robots for result in studies}):
         name = f"discovered-{robots}.png"
-        plate(robots, [one for one in studies if EXPERIMENTS[one.experiment].robots == robots], figures / name)
+        plate(robots, [result for result in studies if EXPERIMENTS[result.experiment].robots == robots], figures / name)
         plates.append(f"![Patterns of {robots} robots that the runs discovered](figures/{name})\n")
     text = PAGE.format(
         seeds=seeds,
         worlds=WORLDS,
         episodes=EPISODES,
         ends=SEARCHES * POLISHED,
-        table=table.as_markdown(HEADER, [row(one, seeds) for one in studies]),
+        table=table.as_markdown(HEADER, [row(result, seeds) for result in studies]),
         plates="\n".join(plates),
     )
     (out / "discoveries.md").write_text(text, encoding="utf-8")

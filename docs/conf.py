@@ -67,12 +67,12 @@ _LETTERS = re.compile(r"[*|]")
 def _read_docstring(app: Sphinx, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:
     """Puts a docstring into Napoleon's terms: stars and bars are themselves, and types stand in annotations only."""
     prose = what in _PROSE
-    for place, line in enumerate(lines):
+    for index, line in enumerate(lines):
         parts = line.split("`")
         parts[::2] = [_LETTERS.sub(r"\\\g<0>", part) for part in parts[::2]]
         text = "`".join(parts)
         # What precedes the first colon would be read as a type; a colon in front says that there is none.
-        lines[place] = re.sub(r"\S", r": \g<0>", text, count=1) if prose else text
+        lines[index] = re.sub(r"\S", r": \g<0>", text, count=1) if prose else text
         prose = line.strip() in ("Returns:", "Yields:")
 
 

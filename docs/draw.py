@@ -59,7 +59,7 @@ def sight_figure() -> Figure:
     draw_head(
         figure, "Sight", "a light at the centre of one robot: a robot is hidden when any part of it lies in a shadow"
     )
-    left, right = (add_axes(figure, LEFT + place * 4.85, 0.42, 4.65, 4.1) for place in range(2))
+    left, right = (add_axes(figure, LEFT + column * 4.85, 0.42, 4.65, 4.1) for column in range(2))
     for ax, title in ((left, "Seen from one robot"), (right, "All pairs of neighbours")):
         show_window(ax, np.array([1.4, 0.0]), 13.0)
         ax.set(ylim=(-13 * 4.1 / 4.65, 13 * 4.1 / 4.65))
@@ -98,8 +98,8 @@ def contact_figure() -> Figure:
     closest = times[gaps.argmin()]
     figure = new_page(3.15)
     draw_head(figure, "Contact", "the discs are apart at both ends of the step, and overlap in between")
-    for place, (time, name) in enumerate(((0.0, "start"), (closest, "closest approach"), (1.0, "end"))):
-        ax = add_axes(figure, LEFT + place * 2.15, 0.3, 2.0, 2.0)
+    for column, (time, name) in enumerate(((0.0, "start"), (closest, "closest approach"), (1.0, "end"))):
+        ax = add_axes(figure, LEFT + column * 2.15, 0.3, 2.0, 2.0)
         show_window(ax, np.zeros(2), 2.5)
         now = start + time * velocities
         apart = geometry.distances(now)[0, 1] > 2 * radius
@@ -136,16 +136,16 @@ def signals_figure() -> Figure:
     ax = add_axes(figure, 0.75, 3.28, 7.3, 2.0)
     style_axes(ax, "", "radius of the ring", "signal", pad=0)
     styles = ("-", (0, (5, 1.5)), (0, (1, 1.2)), (0, (6, 1.5, 1, 1.5)), (0, (3, 1)))
-    for place, name in enumerate(order):
-        ax.plot(radii, curves[name], color=policy_color(place), linestyle=styles[place], linewidth=1.9, label=name)
+    for index, name in enumerate(order):
+        ax.plot(radii, curves[name], color=policy_color(index), linestyle=styles[index], linewidth=1.9, label=name)
     good = radii[(np.stack([curves[name] for name in order[2:]]) > 1 - 1e-9).all(axis=0)]
     ax.axvspan(good.min(), good.max(), color=FAINT, alpha=0.45, linewidth=0)
     ax.text(good.mean(), 0.06, "valid", color=INK, fontsize=TEXT, ha="center")
     ax.set(xlim=(radii[0], radii[-1]), ylim=(0, 1.04), yticks=[0, 0.5, 1])
     add_legend(ax, ax.get_lines()[:5], loc="center left", bbox_to_anchor=(1.02, 0.5))
     half = 0.5 * sizes.safe_distance + 11.8
-    for place, radius in enumerate((5.0, 9.0, 11.8)):
-        panel = add_axes(figure, LEFT + place * 3.3, 0.15, 2.75, 2.3)
+    for column, radius in enumerate((5.0, 9.0, 11.8)):
+        panel = add_axes(figure, LEFT + column * 3.3, 0.15, 2.75, 2.3)
         show_window(panel, np.zeros(2), half)
         panel.set(xlim=(-half * 2.75 / 2.3, half * 2.75 / 2.3))
         positions = radius * ring
@@ -160,11 +160,11 @@ def starts_figure() -> Figure:
     kinds = ("scattered", "distributed", "packed", "random")
     figure = new_page(5.85)
     draw_head(figure, "Starts", "ten robots, the whole world; below, exactly symmetric starts")
-    for place, kind in enumerate(kinds):
+    for column, kind in enumerate(kinds):
         start = world.Start.registered()[kind]()
-        _world_panel(figure, place, 2.9, _draw_start(start, sizes), kind, sizes)
-    for place, name in enumerate(("polygon", "line", "grid", "rings")):
-        _world_panel(figure, place, 0.2, _draw_start(world.SymmetricStart(family=name), sizes), name, sizes)
+        _world_panel(figure, column, 2.9, _draw_start(start, sizes), kind, sizes)
+    for column, name in enumerate(("polygon", "line", "grid", "rings")):
+        _world_panel(figure, column, 0.2, _draw_start(world.SymmetricStart(family=name), sizes), name, sizes)
     return figure
 
 
@@ -173,11 +173,11 @@ def hard_starts_figure() -> Figure:
     figure = new_page(5.85)
     draw_head(figure, "Hard starts", "the first of each set: ten robots, and sixteen in their larger world")
     panels = [(family, 10) for family in ("cluster", "corner", "wall", "walls", "tight-grid")]
-    for place, (family, robots) in enumerate([*panels, *((family, 16) for family in ("cluster", "corner", "wall"))]):
+    for index, (family, robots) in enumerate([*panels, *((family, 16) for family in ("cluster", "corner", "wall"))]):
         sizes = world.start_sets.set_world(robots)
         title = family if robots == 10 else f"{family}, {robots} robots"
         positions = world.start_set(family, robots, 1)[0].astype(float)
-        _world_panel(figure, place % 4, 2.9 if place < 4 else 0.2, positions, title, sizes)
+        _world_panel(figure, index % 4, 2.9 if index < 4 else 0.2, positions, title, sizes)
     return figure
 
 
@@ -192,8 +192,8 @@ def bound_figure() -> Figure:
     shortest = maximum_bipartite_matching(csr_array(cost <= bound * sizes.max_speed * (1 + 1e-9)), perm_type="column")
     figure = new_page(5.05)
     draw_head(figure, "Kinematic bound", "robots are interchangeable: the longest path is as short as it can be")
-    for place, (name, goals) in enumerate((("numbered robots", np.arange(sizes.robots)), ("bound", shortest))):
-        ax = add_axes(figure, LEFT + 0.4 + place * 4.75, 0.25, 4.0, 4.0)
+    for column, (name, goals) in enumerate((("numbered robots", np.arange(sizes.robots)), ("bound", shortest))):
+        ax = add_axes(figure, LEFT + 0.4 + column * 4.75, 0.25, 4.0, 4.0)
         show_window(ax, np.zeros(2), sizes.half_width)
         ax.set_frame_on(False)
         draw_world(ax, sizes, clip=False)
@@ -230,15 +230,15 @@ def _lacks(positions: np.ndarray, sizes: world.WorldConfig) -> str:
         "not gathered": not near[others].all(),
         "occluded": not seen[near].all(),
     }
-    return ", ".join(name for name, found in lacks.items() if found) or "valid"
+    return ", ".join(name for name, present in lacks.items() if present) or "valid"
 
 
 def _world_panel(
-    figure: Figure, place: int, bottom: float, points: np.ndarray, name: str, sizes: world.WorldConfig
+    figure: Figure, column: int, bottom: float, points: np.ndarray, name: str, sizes: world.WorldConfig
 ) -> None:
     """Draws a start in the whole world."""
     side = (WIDTH - 2 * LEFT - 3 * 0.3) / 4
-    ax = add_axes(figure, LEFT + place * (side + 0.3), bottom, side, side)
+    ax = add_axes(figure, LEFT + column * (side + 0.3), bottom, side, side)
     show_window(ax, np.zeros(2), sizes.half_width)
     ax.set_frame_on(False)
     draw_world(ax, sizes, clip=False)

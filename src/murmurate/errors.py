@@ -157,8 +157,8 @@ def check_number(
     above = low is None or (number > low if exclusive_low else number >= low)
     below = high is None or number <= high
     if not (math.isfinite(number) and above and below):
-        what = "an integer" if integer else "a finite number"
-        raise InputError(field, value, f"{what} {' and '.join(bounds)}".strip())
+        noun = "an integer" if integer else "a finite number"
+        raise InputError(field, value, f"{noun} {' and '.join(bounds)}".strip())
 
 
 def check_choice(field: str, value: object, choices: Sequence[str]) -> None:
@@ -181,38 +181,38 @@ def check_path(field: str, value: object) -> None:
         raise InputError(field, value, "a path")
 
 
-def check_type(field: str, value: object, kind: type, words: str) -> None:
+def check_type(field: str, value: object, kind: type, allowed: str) -> None:
     """Checks the type of an argument.
 
     Args:
         field: The argument.
         value: What was given.
         kind: The type that it must have.
-        words: What that is, in words.
+        allowed: What that is, in words.
 
     Raises:
         InputError: It is of another type.
     """
     if not isinstance(value, kind):
-        raise InputError(field, value, words)
+        raise InputError(field, value, allowed)
 
 
-def check_all(field: str, values: object, kind: type, words: str) -> None:
+def check_all(field: str, values: object, kind: type, allowed: str) -> None:
     """Checks that an argument is a sequence of values of one type.
 
     Args:
         field: The argument.
         values: What was given.
         kind: The type of each value.
-        words: What they are, in words.
+        allowed: What they are, in words.
 
     Raises:
         InputError: It is none, or one of them is of another type.
     """
     if isinstance(values, str | bytes) or not isinstance(values, Iterable):
-        raise InputError(field, values, words)
+        raise InputError(field, values, allowed)
     for value in values:
-        check_type(field, value, kind, words)
+        check_type(field, value, kind, allowed)
 
 
 def check_function(field: str, value: object, signature: str) -> None:
@@ -227,6 +227,6 @@ def check_function(field: str, value: object, signature: str) -> None:
 
 def suggestion(word: str, known: Iterable[str]) -> str:
     """Returns "; did you mean ...?" with the known words most like this one, or nothing when none is like it."""
-    words = list(known)
-    close = difflib.get_close_matches(word, words, cutoff=0.85) or difflib.get_close_matches(word, words)
+    candidates = list(known)
+    close = difflib.get_close_matches(word, candidates, cutoff=0.85) or difflib.get_close_matches(word, candidates)
     return f"; did you mean {' or '.join(close)}?" if close else ""

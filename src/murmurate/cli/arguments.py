@@ -143,7 +143,7 @@ class Parser(argparse.ArgumentParser):
 
     def _checked(self, argv: Sequence[str]) -> list[str]:
         """Refuses unknown flags, and ties negative values to their flags (argparse takes -1e-3 and -inf for flags)."""
-        words: list[str] = []
+        arguments: list[str] = []
         for word in argv:
             name, equals, text = word.partition("=")
             new_name = _current_name(name)
@@ -151,12 +151,12 @@ class Parser(argparse.ArgumentParser):
                 name, word = new_name, f"{new_name}{equals}{text}"
             self._add_table_entry(name)
             if not word.startswith("-") or name in self._flags:
-                words.append(word)
-            elif _is_number(word) and words and words[-1] in self._flags:
-                words[-1] += f"={word}"
+                arguments.append(word)
+            elif _is_number(word) and arguments and arguments[-1] in self._flags:
+                arguments[-1] += f"={word}"
             else:
                 self.error(f"unknown flag {name}{suggestion(name, self._flags)}")
-        return words
+        return arguments
 
     def _add_table_entry(self, flag: str) -> None:
         """Adds the flag of a table's entry that is not there yet, such as --base.weights.calm."""

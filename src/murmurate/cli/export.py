@@ -29,8 +29,8 @@ def run(argv: Sequence[str]) -> int:
     parser.add_argument(
         "--opset", type=int, metavar="INT", help="with --onnx: version of ONNX's operators, 17 to 23 (default: 23)"
     )
-    what = "write the recorded episodes as waypoints in metres"
-    parser.add_argument("--trajectories", metavar="csv|json", help=what)
+    trajectories_help = "write the recorded episodes as waypoints in metres"
+    parser.add_argument("--trajectories", metavar="csv|json", help=trajectories_help)
     parser.add_argument("--scale", type=float, metavar="METRES", help="metres of a world unit (default: 0.1)")
     parser.add_argument("--period", type=float, metavar="SECONDS", help="seconds of a step (default: 1)")
     parser.add_argument("--episodes", type=int, metavar="INT", help="how many of the recorded episodes (default: all)")
@@ -83,10 +83,10 @@ def _waypoints(options: Namespace) -> int:
 
     check_choice("--trajectories", options.trajectories, FORMATS)
     path = _free(Path(options.out or f"{Path(options.run).resolve().name}.{options.trajectories}"))
-    usual = Scale()
+    default = Scale()
     scale = Scale(
-        metres=usual.metres if options.scale is None else options.scale,
-        seconds=usual.seconds if options.period is None else options.period,
+        metres=default.metres if options.scale is None else options.scale,
+        seconds=default.seconds if options.period is None else options.period,
         robot_radius=options.robot_radius,
         robot_speed=options.robot_speed,
     )
@@ -94,8 +94,9 @@ def _waypoints(options: Namespace) -> int:
     waypoints.write(path, options.trajectories)
     for name, value in waypoints.about().items():
         print(f"{name.replace('_', ' ')}: {value}")
-    kept, left = len(waypoints.episodes), len(waypoints.left_out)
-    print(f"episodes: {kept}" + (f"; {left} that ended in contact or outside the world are left out" if left else ""))
+    episodes, left_out = len(waypoints.episodes), len(waypoints.left_out)
+    note = f"; {left_out} that ended in contact or outside the world are left out" if left_out else ""
+    print(f"episodes: {episodes}{note}")
     print(f"waypoints: {path}")
     return 0
 

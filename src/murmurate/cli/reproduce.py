@@ -85,9 +85,9 @@ def reproduce(plan: Plan, runs: Path, out: Path, options: Namespace, begun: floa
 
 def _command(options: Namespace, full: bool = False) -> str:
     """Returns the command line; with `full`, that of the full report, in a folder of its own."""
-    words = ["murmurate", "reproduce"]
+    arguments = ["murmurate", "reproduce"]
     if not full:
-        words += ["--quick"] * options.quick + (["--out", options.out] if options.out else [])
-    words += ["--runs", options.runs] if options.runs != RUNS else []
-    words += ["--seed", str(options.seed)] if options.seed != SEED else []
-    return shlex.join(words)
+        arguments += ["--quick"] * options.quick + (["--out", options.out] if options.out else [])
+    arguments += ["--runs", options.runs] if options.runs != RUNS else []
+    arguments += ["--seed", str(options.seed)] if options.seed != SEED else []
+    return shlex.join(arguments)

@@ -232,12 +232,12 @@ class Problem:
         gathering = given.pop(GATHERING, None)
         if gathering is not None:
             given["centered" if self.landmark else "compact"] = gathering
-        own, known = self.objective_signals, Signal.registered()
+        configured, known = self.objective_signals, Signal.registered()
         for name in given:
-            if name not in own and name not in known:
+            if name not in configured and name not in known:
                 section = f"{'base' if index == 0 else 'auxiliary'}.gradients.weights.{name}"
-                raise InputError(section, given[name], f"for a signal ({', '.join(sorted({*own, *known}))})")
-        signals: dict[str, Any] = {name: own[name] if name in own else known[name]() for name in given}
+                raise InputError(section, given[name], f"for a signal ({', '.join(sorted({*configured, *known}))})")
+        signals: dict[str, Any] = {name: configured[name] if name in configured else known[name]() for name in given}
         return signals, given
 
     def of_size(self: ProblemT, robots: int) -> ProblemT:

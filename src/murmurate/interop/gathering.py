@@ -509,12 +509,12 @@ class Camera:
         positions = episodes.positions
         if not self._paths:
             self._paths, self._steps = [[] for _ in positions], [0] * len(positions)
-        for index, place in enumerate(positions):
+        for index, configuration in enumerate(positions):
             if begun is None:
-                self._paths[index] = [*self._paths[index][-MAX_PATH:], place]
+                self._paths[index] = [*self._paths[index][-MAX_PATH:], configuration]
                 self._steps[index] += 1
             elif begun[index]:
-                self._paths[index], self._steps[index] = [place], 0
+                self._paths[index], self._steps[index] = [configuration], 0
 
     def frame(self, index: int = 0) -> UInt8[np.ndarray, "height width 3"] | None:
         """Draws an episode as far as it has come.

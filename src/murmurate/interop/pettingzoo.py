@@ -236,14 +236,14 @@ def _observe(env: Wrapper, state: Any) -> Float[Array, "robots rows 3 batch"]:
     # Robots that are not perceived sort as the farthest. The robot itself is one of them: one row of zeros is dropped.
     order = jnp.argsort(jnp.where(view.seen, view.x**2 + view.y**2, jnp.inf), axis=1)[:, :-1]
     rows = jnp.take_along_axis(jnp.stack([view.x, view.y, seen], axis=2), order[:, :, None], axis=1)
-    one, zero = jnp.ones_like(view.radius), jnp.zeros_like(view.radius)
+    ones, zeros = jnp.ones_like(view.radius), jnp.zeros_like(view.radius)
     extra = []
     if "close" in env.unwrapped.objective.names and sensing.landmark:
-        extra.append(jnp.stack([view.landmark_x, view.landmark_y, one], axis=1))
+        extra.append(jnp.stack([view.landmark_x, view.landmark_y, ones], axis=1))
     if view.walls is not None:
-        extra += [jnp.stack([*jnp.unstack(wall, axis=1), one], axis=1) for wall in jnp.unstack(view.walls, axis=1)]
+        extra += [jnp.stack([*jnp.unstack(wall, axis=1), ones], axis=1) for wall in jnp.unstack(view.walls, axis=1)]
     if sensing.unit_ratio > 1:
-        extra.append(jnp.stack([view.radius, zero, one], axis=1))
+        extra.append(jnp.stack([view.radius, zeros, ones], axis=1))
     return jnp.concatenate([rows, *(row[:, None] for row in extra)], axis=1)
 
 

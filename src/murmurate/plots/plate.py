@@ -111,10 +111,10 @@ def plate_figure(
         x = WIDTH / 2 + (column - (in_row - 1) / 2) * pitch
         bottom = page_height - _HEAD - row * row_height - side
         _draw_pattern(figure, pattern, (x - side / 2, bottom), side, half * pattern.radius)
-        for line, (words, color) in enumerate(((pattern.caption, INK), (pattern.note, MUTED))):
+        for line, (label, color) in enumerate(((pattern.caption, INK), (pattern.note, MUTED))):
             y = bottom - (0.9 + line) * _LINE
             style: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": TEXT, "parse_math": False}
-            texts += [figure.text(x / WIDTH, y / page_height, words, color=color, **style)] if words else []
+            texts += [figure.text(x / WIDTH, y / page_height, label, color=color, **style)] if label else []
     # All captions in one size: that of plain text, or smaller where one of them would be wider than its column.
     widest = max((text.get_window_extent().width / figure.dpi for text in texts), default=0.0)
     for text in texts:

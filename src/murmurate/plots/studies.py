@@ -103,10 +103,11 @@ def _draw_final_pattern(
 
     def fit(text: Text, right: float) -> float:
         """Cuts a text in the middle until it ends left of a place; returns where it ends, both in panel widths."""
-        whole = kept = text.get_text()
-        while (end := (text.get_window_extent().x1 - ax.bbox.x0) / ax.bbox.width) > right and len(kept) > 3:
-            kept = kept[:-1]
-            text.set_text(f"{kept[: len(kept) // 2]}…{whole[len(whole) - (len(kept) - len(kept) // 2) :]}")
+        full = text.get_text()
+        length = len(full)
+        while (end := (text.get_window_extent().x1 - ax.bbox.x0) / ax.bbox.width) > right and length > 3:
+            length -= 1
+            text.set_text(f"{full[: length // 2]}…{full[len(full) - (length - length // 2) :]}")
         return end
 
     room = 1 - (small + 0.05) / side
@@ -265,14 +266,14 @@ def _draw_paper(ax: Axes, growths: Sequence[Growth], paper: Sequence[PaperPoint]
     height = ax.get_window_extent().height / ax.figure.dpi
     for size in sorted({point.robots for point in paper}):
         points = sorted((point for point in paper if point.robots == size), key=lambda point: point.steps)
-        places = [ax.transAxes.inverted().transform(ax.transData.transform((size, point.steps))) for point in points]
-        levels = separate_labels([place[1] for place in places], [0.15 / height] * len(points), gap=0.0)
+        anchors = [ax.transAxes.inverted().transform(ax.transData.transform((size, point.steps))) for point in points]
+        levels = separate_labels([anchor[1] for anchor in anchors], [0.15 / height] * len(points), gap=0.0)
         left = size > np.mean(ax.get_xlim())
-        for point, place, level in zip(points, places, levels, strict=True):
+        for point, anchor, level in zip(points, anchors, levels, strict=True):
             label = point.label
             if (point.start, size) in measured:
                 label += f": {point.steps / measured[point.start, size]:.0f} times ours"
-            x = place[0] + (-0.035 if left else 0.035)
+            x = anchor[0] + (-0.035 if left else 0.035)
             style: dict[str, Any] = {"ha": "right" if left else "left", "va": "center", "parse_math": False}
             ax.text(x, level, label, transform=ax.transAxes, fontsize=TEXT, color=INK, path_effects=_HALO, **style)
     handles = []
@@ -408,8 +409,8 @@ def _draw_methods(ax: Axes, rows: Sequence[Row], looks: Mapping[str, Mapping[str
         leading = method == next(iter(looks))
         weight: dict[str, Any] = {"linewidth": 1.6 if leading else 1.0, "zorder": 4 if leading else 3}
         error = np.abs([share - low, high - share])
-        place: dict[str, Any] = {"markersize": MARKER, "elinewidth": 0.8, "transform": ax.transData + shift}
-        ax.errorbar(x, share, yerr=error, **place, **weight, **looks[method])
+        style: dict[str, Any] = {"markersize": MARKER, "elinewidth": 0.8, "transform": ax.transData + shift}
+        ax.errorbar(x, share, yerr=error, **style, **weight, **looks[method])
     ax.set(xlim=(-0.5, len(sizes) - 0.5), ylim=(-4, 104))
     # Where there is no room for every number, every other one, the last among them.
     stride = -(-len(sizes) // MAX_TICKS)

@@ -97,11 +97,11 @@ class EquivariantNetwork(PolicyNetwork):
 
     def __call__(self, positions: Float[Array, "robots 2 *batch"]) -> Float[Array, "robots 2 *batch"]:
         """Returns the most likely velocities, world units per step."""
-        seen = surroundings(positions, self.basis, self.world, self.landmark)
-        nodes = jnp.tanh(self.node(seen.robot))
-        mine, theirs = self.mine(nodes), self.theirs(nodes)
-        g, h = self.head(jnp.tanh(self.pair(seen.pair) + mine[:, :, None] + theirs[:, None, :]))
-        ahead, aside = (g * seen.ux - h * seen.uy, g * seen.uy + h * seen.ux)
+        around = surroundings(positions, self.basis, self.world, self.landmark)
+        nodes = jnp.tanh(self.node(around.robot))
+        observing, observed = self.mine(nodes), self.theirs(nodes)
+        g, h = self.head(jnp.tanh(self.pair(around.pair) + observing[:, :, None] + observed[:, None, :]))
+        ahead, aside = (g * around.ux - h * around.uy, g * around.uy + h * around.ux)
         vx, vy = sum_terms(lambda i: (ahead[:, i], aside[:, i]), positions.shape[0])
         if self.landmark:
             px, py, _ = point(-positions[:, 0], -positions[:, 1], self.basis, self.world.safe_distance)
@@ -128,8 +128,8 @@ class ValueHead(eqx.Module):
     def __call__(self, features: Float[Array, "features robots *batch"]) -> Float[Array, "robots *batch"]:
         """Returns every robot's value."""
         nodes = jnp.tanh(self.node(features))
-        ours = self.ours(jnp.mean(nodes, axis=1))
-        return self.head(jnp.tanh(self.mine(nodes) + ours[:, None]))[0]
+        swarm = self.ours(jnp.mean(nodes, axis=1))
+        return self.head(jnp.tanh(self.mine(nodes) + swarm[:, None]))[0]
 
 
 class EquivariantValue(eqx.Module):

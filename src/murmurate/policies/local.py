@@ -165,9 +165,9 @@ class LocalNetwork(PolicyNetwork):
         if not later and not (self.to_walls is None and self.to_gap is None and template.to_walls is not None):
             return self
 
-        def widened(own: Array, other: Any) -> Array:
+        def widened(weight: Array, other: Any) -> Array:
             return jnp.pad(
-                own, [(0, max(wide - narrow, 0)) for narrow, wide in zip(own.shape, other.shape, strict=True)]
+                weight, [(0, max(wide - narrow, 0)) for narrow, wide in zip(weight.shape, other.shape, strict=True)]
             )
 
         def silent(other: Dense | None) -> Dense | None:

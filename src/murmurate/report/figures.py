@@ -64,19 +64,19 @@ def draw_figures(data: ReportData, pictures: Pictures) -> dict[str, str]:
         drawn = []
         for name in experiments:
             row = EXPERIMENTS[name]
-            words = {
+            fields = {
                 "name": name,
                 "robots": row.robots,
                 "start": row.start,
                 "target": _TARGETS[row.objective],
             }
             for preset in TRAINING_PRESETS:
-                title = f"Experiment {name}, {preset}: {text.format(**words)}"
+                title = f"Experiment {name}, {preset}: {text.format(**fields)}"
 
                 def draw(name: str = name, preset: str = preset) -> Figure:
                     return figure(data.recording(name, preset))
 
-                drawn.append(pictures.add(f"{kind}-{name}-{preset}", title, alt.format(**words), draw))
+                drawn.append(pictures.add(f"{kind}-{name}-{preset}", title, alt.format(**fields), draw))
         return drawn
 
     model = [

@@ -71,8 +71,8 @@ def settings_table() -> str:
     rows = []
     for row in EXPERIMENTS.values():
         sizes = (row.half_side, row.radius, row.scan_radius, row.safe_distance, row.max_speed)
-        words = (row.name, str(row.robots), targets[row.objective], row.start)
-        rows.append((*words, *(f"{value:g}" for value in sizes)))
+        labels = (row.name, str(row.robots), targets[row.objective], row.start)
+        rows.append((*labels, *(f"{value:g}" for value in sizes)))
     header = ("experiment", "swarm size", "gathering target", "initial states")
     header += (_SIDE, "radius R", "scan radius", "safe distance", "speed limit")
     text = "The paper's Table III. The last five columns, in world units, are not printed in the paper."

@@ -47,13 +47,13 @@ def describe_failures(experiment: ExperimentConfig, trajectories: Trajectories) 
     lines = [f"{len(failed)} of {len(validity.valid)} starts failed: {', '.join(counts)}{several}"]
     # A centralised policy tells its robots apart by their numbers, and may break any symmetry.
     if experiment.policy.any_size and experiment.world.robots <= MAX_ROBOTS:
-        looked = failed[:MAX_EPISODES]
-        kept = sum(_keeps_symmetry(trajectories.positions[i, 0], trajectories.final[i]) for i in looked)
-        if kept:
-            who = f"{kept} of them" if len(looked) > 1 else "it"
+        examined = failed[:MAX_EPISODES]
+        symmetric = sum(_keeps_symmetry(trajectories.positions[i, 0], trajectories.final[i]) for i in examined)
+        if symmetric:
+            subject = f"{symmetric} of them" if len(examined) > 1 else "it"
             lines.append(
-                f"why: {who} began symmetric and stayed so: robots that are all alike, in step and without noise keep "
-                "a symmetry for ever; move a robot a little, or take noise or another scheduler"
+                f"why: {subject} began symmetric and stayed so: robots that are all alike, in step and without noise "
+                "keep a symmetry for ever; move a robot a little, or take noise or another scheduler"
             )
     return lines
 

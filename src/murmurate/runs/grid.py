@@ -156,8 +156,8 @@ class Grid:
         """
         check_number("--seeds", seeds, 1, MAX_RUNS, integer=True)
         if config.seed + seeds - 1 > prng.MAX_SEED:
-            most = prng.MAX_SEED - config.seed + 1
-            raise InputError("--seeds", seeds, f"at most {most}: seeds end at {prng.MAX_SEED}")
+            limit = prng.MAX_SEED - config.seed + 1
+            raise InputError("--seeds", seeds, f"at most {limit}: seeds end at {prng.MAX_SEED}")
         leaves = {leaf.path: leaf for leaf in config_io.leaves(config)}
         axes: dict[str, list[str]] = {}
         for text in vary:
@@ -252,10 +252,10 @@ def _build(
         config = presets.resolve(experiment, config_io.nested(values), learner=learner, folders=folders)
         build_world(config)
         # A user's own strategies are evaluated, once for all runs that have the same.
-        own = repr([config_io.to_dict(part) for _, part in config_io.strategies(config) if part.is_foreign()])
-        if own not in ("[]", *checked):
+        foreign = repr([config_io.to_dict(part) for _, part in config_io.strategies(config) if part.is_foreign()])
+        if foreign not in ("[]", *checked):
             check_parts(config)
-            checked.add(own)
+            checked.add(foreign)
     except InputError as error:
         name = experiment.name if isinstance(experiment, ExperimentConfig) else experiment
         raise InputError(error.field, error.value, f"{error.allowed} (in experiment {name})") from None
@@ -294,14 +294,14 @@ def _blocks(data: Mapping[str, Any], folder: Path) -> list[dict[str, Any]]:
     return [_block(common, entry, folder, f"{BLOCKS}[{number}].") for number, entry in enumerate(entries, 1)]
 
 
-def _block(common: Mapping[str, Any], own: Mapping[str, Any], folder: Path, where: str) -> dict[str, Any]:
+def _block(common: Mapping[str, Any], block: Mapping[str, Any], folder: Path, where: str) -> dict[str, Any]:
     """Returns the arguments of `Grid.product` for one block: its own keys win over those that are common to all."""
-    _check_keys(own, KEYS, where)
-    path_of = {name: f"{where if name in own else ''}{name}" for name in KEYS}
-    data = {**common, **own}
-    shared, fields = _fields(common, "fields", folder, ""), _fields(own, "fields", folder, where)
+    _check_keys(block, KEYS, where)
+    path_of = {name: f"{where if name in block else ''}{name}" for name in KEYS}
+    data = {**common, **block}
+    shared, fields = _fields(common, "fields", folder, ""), _fields(block, "fields", folder, where)
     axes = _axes(common, shared, folder, "")
-    axes |= _axes(own, fields, folder, where)
+    axes |= _axes(block, fields, folder, where)
     experiments = _list(data.get("experiments"), path_of["experiments"], 'such as ["A", "B"]')
     learners: Sequence[str | None] = (None,)
     if "learners" in data:

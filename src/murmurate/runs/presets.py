@@ -216,10 +216,10 @@ def command(config: ExperimentConfig) -> str:
     arguments = ["murmurate", "discover", config.name, "--seed", str(config.seed)]
     arguments += ["--policy", policy] if policy != DEFAULT_LEARNER else []
     learner = policy if policy in TRAINING_PRESETS else DEFAULT_LEARNER
-    usual = {leaf.path: leaf.value for leaf in config_io.leaves(preset(config.name, learner))}
+    defaults = {leaf.path: leaf.value for leaf in config_io.leaves(preset(config.name, learner))}
     for leaf in config_io.leaves(config):
         is_given = leaf.path in ("seed", "policy.use") or leaf.path.startswith("modules.")
-        if not is_given and leaf.value != usual.get(leaf.path):
+        if not is_given and leaf.value != defaults.get(leaf.path):
             arguments += [f"--{leaf.path}", config_io.spelled(leaf.value)]
     return shlex.join(arguments)
 
@@ -229,8 +229,8 @@ def paper_row(config: ExperimentConfig) -> PaperExperiment | None:
     if not config.has_paper_objective:
         return None
     for name, row in EXPERIMENTS.items():
-        own = preset(name)
-        if (config.world, config.objective, config.start) == (own.world, own.objective, own.start):
+        paper = preset(name)
+        if (config.world, config.objective, config.start) == (paper.world, paper.objective, paper.start):
             return row
     return None
 

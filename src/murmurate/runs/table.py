@@ -101,7 +101,7 @@ def comparison(summary: Mapping[str, Any], row: PaperExperiment | None) -> tuple
     header = f"{episodes} {describe_starts(summary)}"
     if not paper:
         return (header, "this run"), rows
-    return (header, "paper", "this run"), [(name, paper.get(name, NONE), ours) for name, ours in rows]
+    return (header, "paper", "this run"), [(name, paper.get(name, NONE), value) for name, value in rows]
 
 
 def side_by_side(
@@ -140,12 +140,15 @@ def differences(experiments: Sequence[ExperimentConfig]) -> list[str]:
 
     Seeds are not among them.
     """
-    leaves = [{leaf.path: config_io.spelled(leaf.value) for leaf in config_io.leaves(one)} for one in experiments]
-    alike: dict[tuple[str, str], list[int]] = {}
-    for index, one in enumerate(experiments):
-        alike.setdefault((one.name, one.policy.name), []).append(index)
+    leaves = [
+        {leaf.path: config_io.spelled(leaf.value) for leaf in config_io.leaves(experiment)}
+        for experiment in experiments
+    ]
+    groups: dict[tuple[str, str], list[int]] = {}
+    for index, experiment in enumerate(experiments):
+        groups.setdefault((experiment.name, experiment.policy.name), []).append(index)
     texts = [""] * len(experiments)
-    for group in alike.values():
+    for group in groups.values():
         paths = dict.fromkeys(path for index in group for path in leaves[index])
         varied = [
             path

@@ -252,16 +252,16 @@ class WallStart(PlacedStart):
         total = xp.cumsum(gaps, axis=1)
         row = xp.floor((xp.arange(robots) + 0.5).astype(shared.dtype) / columns[:, None])
         first = (row * columns[:, None]).astype(np.int32)
-        place = total - xp.take_along_axis(total, first, axis=1)
-        room = xp.maximum(2 * along - place.max(axis=1), 0)
-        place = place + (shift * room - along)[:, None]
+        coordinate = total - xp.take_along_axis(total, first, axis=1)
+        room = xp.maximum(2 * along - coordinate.max(axis=1), 0)
+        coordinate = coordinate + (shift * room - along)[:, None]
         apart = xp.minimum(spacing[:, 0], 2 * across / xp.maximum(rows - 1, 1))
         drawn = xp.maximum(2 * gap - 1, 0) * self.max_gap * world.radius
         depth = xp.minimum(drawn, xp.maximum(2 * across - apart * (rows - 1), 0))
         sign = xp.where(side < 0.5, -1, 1)[:, None]
         distance = sign * (across[:, None] - (depth[:, None] + row * apart[:, None]))
         upright = upright[:, None]
-        points = xp.stack([xp.where(upright, distance, place), xp.where(upright, place, distance)], axis=-1)
+        points = xp.stack([xp.where(upright, distance, coordinate), xp.where(upright, coordinate, distance)], axis=-1)
         return xp.clip(points, -bounds, bounds)
 
 

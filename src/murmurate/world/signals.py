@@ -194,8 +194,8 @@ class Visible(Signal):
         """Returns the pairs that the robot is part of, less those that it alone hides from each other."""
         xp, dtype = configuration.xp, configuration.positions.dtype
         seen = configuration.visible
-        own = (xp.sum(seen, axis=1, dtype=dtype) + xp.sum(seen, axis=0, dtype=dtype)) / 2
-        return (own - configuration.sole_occluder_counts / 2) / (seen.shape[0] - 1)
+        pairs = (xp.sum(seen, axis=1, dtype=dtype) + xp.sum(seen, axis=0, dtype=dtype)) / 2
+        return (pairs - configuration.sole_occluder_counts / 2) / (seen.shape[0] - 1)
 
 
 OBJECTIVES: dict[str, tuple[str, ...]] = {
@@ -206,23 +206,23 @@ OBJECTIVES: dict[str, tuple[str, ...]] = {
 """The signals of each named objective: gathering at the origin (the paper's C1), anywhere (C2), or only one's own."""
 
 
-def objective_signals(objective: str, own: Mapping[str, Signal] | None = None) -> dict[str, Signal]:
+def objective_signals(objective: str, signals: Mapping[str, Signal] | None = None) -> dict[str, Signal]:
     """Returns the signals of an objective by name, in the order in which they are recorded.
 
     Args:
         objective: C1, C2 or custom.
-        own: Further signals; one with the name of a signal of the objective replaces it.
+        signals: Further signals; one with the name of a signal of the objective replaces it.
 
     Raises:
         InputError: There is no objective of that name, or it has no signal at all.
     """
     check_choice("objective", objective, tuple(OBJECTIVES))
     known = Signal.registered()
-    signals: dict[str, Any] = {name: known[name]() for name in OBJECTIVES[objective]}
-    signals.update(own or {})
-    if not signals:
+    by_name: dict[str, Any] = {name: known[name]() for name in OBJECTIVES[objective]}
+    by_name.update(signals or {})
+    if not by_name:
         raise InputError("signals", {}, "one signal or more with the objective custom")
-    return signals
+    return by_name
 
 
 class Objective(eqx.Module):

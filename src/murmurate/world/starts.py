@@ -269,12 +269,12 @@ class UniformStart(Start):
         discs around N - 1 centres, which the last one must avoid, could fill it.
         """
         robots, bounds = world.robots, bounds_of(world)
-        size_key, place_key, divide, draw = jax.random.split(key, 4)
+        size_key, position_key, divide, draw = jax.random.split(key, 4)
         room = world.radius * jnp.sqrt(jnp.pi * (robots - 1) / (world.half_width * world.half_height))
         least = jnp.minimum(jnp.maximum(self.min_window, room), 1.0)
         share = least ** jax.random.uniform(size_key, (2, 2, batch), jnp.float32)
-        place = jax.random.uniform(place_key, (2, 2, batch), jnp.float32, -1.0, 1.0)
-        center = bounds * jnp.clip(place, share - 1, 1 - share)
+        position = jax.random.uniform(position_key, (2, 2, batch), jnp.float32, -1.0, 1.0)
+        center = bounds * jnp.clip(position, share - 1, 1 - share)
         first = jax.random.uniform(divide, (batch,), jnp.float32)
 
         def propose(key: PRNGKeyArray) -> Float[Array, "robots 2 batch"]:
@@ -416,8 +416,8 @@ def check_start(start: Start, world: WorldConfig) -> Start:
     check_type("start", start, Start, "a start, such as UniformStart()")
     check_world(world)
     if TRIALS * world.robots**2 > MAX_PAIRS:
-        most = math.isqrt(MAX_PAIRS // TRIALS)
-        raise InputError("world.robots", world.robots, f"at most {most}: memory holds no more pairs of them")
+        limit = math.isqrt(MAX_PAIRS // TRIALS)
+        raise InputError("world.robots", world.robots, f"at most {limit}: memory holds no more pairs of them")
     prepared = start.prepare(world)
     try:
         # The key is made inside: nothing is computed for a start that surely fits, and JAX is not started.
@@ -429,8 +429,8 @@ def check_start(start: Start, world: WorldConfig) -> Start:
     wanted = (TRIALS, world.robots, 2)
     shape, dtype = getattr(sampled, "shape", None), getattr(sampled, "dtype", None)
     if shape != wanted or dtype is None or not jnp.issubdtype(dtype, jnp.floating):
-        what = f"{dtype}{list(shape)}" if shape is not None else type(sampled).__name__
-        raise InputError("start", start.name, f"a start whose sample returns float32{list(wanted)}, not {what}")
+        returned = f"{dtype}{list(shape)}" if shape is not None else type(sampled).__name__
+        raise InputError("start", start.name, f"a start whose sample returns float32{list(wanted)}, not {returned}")
     if _surely_fits(prepared, world):
         return prepared
     for count in (1, TRIALS):  # one first: where none fits, the search for each of them takes long

@@ -68,11 +68,11 @@ class TwoColor(Baseline):
         """Returns velocities in each robot's own frame, world units per step."""
         world = self.world
         view = local_view(observation.view, world)
-        own, edges = _own_corner(view, world), _edges(view)
+        corner, edges = _own_corner(view, world), _edges(view)
         exit_x, exit_y = _path_outside(view, edges, world)
         any_inside = jnp.any(view.seen & ~edges.corner, axis=1)
-        corner_x, corner_y = _path_of_corner(view, own, any_inside, world, self.landmark)
-        x, y = jnp.where(own.is_corner, corner_x, exit_x), jnp.where(own.is_corner, corner_y, exit_y)
+        corner_x, corner_y = _path_of_corner(view, corner, any_inside, world, self.landmark)
+        x, y = jnp.where(corner.is_corner, corner_x, exit_x), jnp.where(corner.is_corner, corner_y, exit_y)
         return avoid_collisions(GAIN * x, GAIN * y, view, world)
 
 
@@ -173,21 +173,21 @@ def _path_outside(view: LocalView, edges: _Edges, world: WorldConfig) -> tuple[A
 
 
 def _path_of_corner(
-    view: LocalView, own: _Corner, any_inside: Array, world: WorldConfig, landmark: bool
+    view: LocalView, corner: _Corner, any_inside: Array, world: WorldConfig, landmark: bool
 ) -> tuple[Array, Array]:
     """Returns the path of a corner: outwards while it is too flat or its edges are too short, else inwards."""
     keep = SAFETY_FACTOR * world.safe_distance
-    too_flat = jnp.maximum(own.needed - own.bulge, 0.0)
+    too_flat = jnp.maximum(corner.needed - corner.bulge, 0.0)
     # An edge through which a robot leaves is split in two.
     needed = jnp.where(any_inside, 2.0, 1.0) * keep
-    too_short = jnp.where(any_inside, jnp.maximum(needed - own.longer, 0.0) / 2, 0.0)
+    too_short = jnp.where(any_inside, jnp.maximum(needed - corner.longer, 0.0) / 2, 0.0)
     outwards = jnp.maximum(too_flat, too_short)
     # Slowly while the swarm is wide: walls are not seen, and the corners beside this one still move inwards.
-    outwards = jnp.where(own.shorter > LONG_EDGE * keep, jnp.minimum(outwards, SLOW * world.max_speed), outwards)
+    outwards = jnp.where(corner.shorter > LONG_EDGE * keep, jnp.minimum(outwards, SLOW * world.max_speed), outwards)
     cx, cy = view_centroid(view)
     if landmark:
         cx, cy = (cx + view.landmark_x) / 2, (cy + view.landmark_y) / 2
     distance = jnp.sqrt(cx * cx + cy * cy + 1e-12)
-    spare = jnp.minimum(own.shorter - 1.1 * needed, own.bulge - 1.2 * own.needed)
+    spare = jnp.minimum(corner.shorter - 1.1 * needed, corner.bulge - 1.2 * corner.needed)
     inwards = jnp.maximum(spare / 2, 0.0) / distance
-    return outwards * own.out_x + inwards * cx, outwards * own.out_y + inwards * cy
+    return outwards * corner.out_x + inwards * cx, outwards * corner.out_y + inwards * cy
