@@ -49,7 +49,7 @@ def judged(act: Act, seed: int = 12345) -> tuple[float, float]:
     return float(total.mean()), float((alive & seen).mean())
 
 
-def theirs(steps: int, chunks: int, seed: int) -> Iterator[Row]:
+def train_stable_baselines(steps: int, chunks: int, seed: int) -> Iterator[Row]:
     """Trains with Stable-Baselines3; yields steps, seconds, return and share as it goes."""
     env = VecNormalize(make_vec_env(ENV_ID, n_envs=8, seed=seed, env_kwargs=OPTIONS))
     layers = {"net_arch": [64, 64]}
@@ -66,7 +66,7 @@ def theirs(steps: int, chunks: int, seed: int) -> Iterator[Row]:
         yield model.num_timesteps, seconds, *judged(act)
 
 
-def ours(updates: int, seed: int) -> Iterator[Row]:
+def train_murmurate(updates: int, seed: int) -> Iterator[Row]:
     """Trains with `murmurate.learning`; yields the same."""
     world = scaled_to(WorldConfig(), ROBOTS)
     sizes = {name: getattr(world, name) for name in ("robots", "half_width", "half_height", "scan_radius")}
@@ -105,8 +105,8 @@ def main() -> None:
     print("| learner | environment steps | seconds | return | mutually visible, untouched |")
     print("| --- | ---: | ---: | ---: | ---: |")
     runs = {
-        "murmurate": ours(options.updates, options.seed),
-        "Stable-Baselines3": theirs(options.steps, 10, options.seed),
+        "murmurate": train_murmurate(options.updates, options.seed),
+        "Stable-Baselines3": train_stable_baselines(options.steps, 10, options.seed),
     }
     for name, rows in runs.items():
         for steps, seconds, reward, share in rows:
