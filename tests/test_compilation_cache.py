@@ -49,8 +49,10 @@ policy = search.advance(search.begin())[0].train.policy
 
 def execute(code, tmp_path, **variables):
     """Runs Python in a process whose home is empty; returns what it wrote."""
-    kept = {name: value for name, value in os.environ.items() if not name.startswith(("JAX_", "MURMURATE", "XDG_"))}
-    environment = kept | {"HOME": str(tmp_path / "home"), "PYTHONPATH": os.pathsep.join(sys.path)} | variables
+    inherited = {
+        name: value for name, value in os.environ.items() if not name.startswith(("JAX_", "MURMURATE", "XDG_"))
+    }
+    environment = inherited | {"HOME": str(tmp_path / "home"), "PYTHONPATH": os.pathsep.join(sys.path)} | variables
     return subprocess.run(
         [sys.executable, "-c", code], env=environment, cwd=ROOT, capture_output=True, text=True, check=True
     )

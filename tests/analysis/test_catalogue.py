@@ -47,25 +47,27 @@ def finding(positions, value: Any = 3.0, episode=0, **changes: Any):
 def noisy(pattern, count, size, seed=0, **changes):
     """The same pattern many times: turned, shifted, relabelled, mirrored, scaled and displaced."""
     rng = np.random.default_rng(seed)
-    made = []
+    findings = []
     for episode in range(count):
         z = (pattern + rng.normal(size=pattern.shape) * size) * rng.choice([-1, 1], size=2) * rng.uniform(0.5, 2)
         angle = rng.uniform(0, 2 * math.pi)
         turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
-        made.append(finding(rng.permutation(z) @ turn.T + rng.uniform(-9, 9, 2), rng.uniform(3, 4), episode, **changes))
-    return made
+        findings.append(
+            finding(rng.permutation(z) @ turn.T + rng.uniform(-9, 9, 2), rng.uniform(3, 4), episode, **changes)
+        )
+    return findings
 
 
 def by_the_rule(findings, tolerance, **how):
     """Classes, as sets of episodes, by the rule and by nothing else: every distance, no bounds."""
     groups = []
-    for one in sorted(findings, key=lambda one: -one.value):
-        apart = [distance(group[0].positions, one.positions, **how) for group in groups]
+    for candidate in sorted(findings, key=lambda candidate: -candidate.value):
+        apart = [distance(group[0].positions, candidate.positions, **how) for group in groups]
         if apart and min(apart) <= tolerance:
-            groups[apart.index(min(apart))].append(one)
+            groups[apart.index(min(apart))].append(candidate)
         else:
-            groups.append([one])
-    return [[one.episode for one in group] for group in groups]
+            groups.append([candidate])
+    return [[member.episode for member in group] for group in groups]
 
 
 def episodes(catalogue):
@@ -137,7 +139,7 @@ def test_classes_follow_the_rule(scaling, reflection):
     assert episodes(catalogue) == by_the_rule(findings, 0.15, **how)
     assert 4 <= len(catalogue.classes) < 30
     for pattern in catalogue.classes:
-        apart = [distance(pattern.representative.positions, one.positions, **how) for one in pattern.members]
+        apart = [distance(pattern.representative.positions, member.positions, **how) for member in pattern.members]
         assert pattern.spread == pytest.approx(max(apart), abs=1e-7)
         assert pattern.spread <= 0.15
 
@@ -158,10 +160,12 @@ def test_noisy_patterns_of_each_kind_are_a_class():
     assert [pattern.name for pattern in catalogue.classes] == ["P1", "P2"]
     assert [pattern.value for pattern in catalogue.classes] == sorted([ten.value, nine.value], reverse=True)
     for pattern, result in ((ten, rings), (nine, others)):
-        assert pattern.value == max(one.value for one in result) == pattern.representative.value
+        assert pattern.value == max(member.value for member in result) == pattern.representative.value
         assert pattern.symmetry == symmetry(pattern.representative.positions)
         assert 0 < pattern.spread <= TOLERANCE
-    assert [one.value for one in catalogue.findings] == sorted((one.value for one in rings + others), reverse=True)
+    assert [entry.value for entry in catalogue.findings] == sorted(
+        (entry.value for entry in rings + others), reverse=True
+    )
 
 
 def test_a_finding_joins_the_nearest_leader():
@@ -175,11 +179,11 @@ def test_a_finding_joins_the_nearest_leader():
 
 
 def test_what_was_found_twice_counts_once():
-    one = finding(ring(5), 3.0, episode=4)
-    assert Catalogue.from_findings([one, finding(ring(5), 2.0, episode=4)]).classes[0].members == (one,)
-    assert len(Catalogue.from_findings([one, finding(ring(5), 3.0, episode=5)]).findings) == 2
-    assert len(Catalogue.from_findings([one, finding(ring(5), 3.0, episode=4, run="another")]).findings) == 2
-    assert len(Catalogue.from_findings([one, finding(2 * ring(5), 3.0, episode=4)]).findings) == 2
+    original = finding(ring(5), 3.0, episode=4)
+    assert Catalogue.from_findings([original, finding(ring(5), 2.0, episode=4)]).classes[0].members == (original,)
+    assert len(Catalogue.from_findings([original, finding(ring(5), 3.0, episode=5)]).findings) == 2
+    assert len(Catalogue.from_findings([original, finding(ring(5), 3.0, episode=4, run="another")]).findings) == 2
+    assert len(Catalogue.from_findings([original, finding(2 * ring(5), 3.0, episode=4)]).findings) == 2
 
 
 def test_two_robots():
@@ -308,11 +312,11 @@ def test_a_strangers_file_is_refused_in_one_line(field, broken):
 
 def test_a_finding_cannot_be_changed():
     points = ring(4)
-    one = finding(points)
+    result = finding(points)
     points[0] = 7
-    assert one.positions[0] == pytest.approx([1.0, 0.0])
+    assert result.positions[0] == pytest.approx([1.0, 0.0])
     with pytest.raises(ValueError, match="read-only"):
-        one.positions[0] = 7
+        result.positions[0] = 7
 
 
 def test_many_different_patterns_are_told_apart_fast(monkeypatch):

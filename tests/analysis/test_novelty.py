@@ -24,8 +24,8 @@ def catalogue(*patterns, **how):
     sizes = {"radius": 1.0, "safe_distance": 5.0, "scan_radius": 20.0, "objective": "C1", "gap": None}
     source = {"experiment": "C", "policy": "equivariant", "start": "scattered", "seed": 0, "run": "a run"}
     findings = [
-        Finding(pattern, value=4.0 - place / 10, episode=place, **sizes, **source)
-        for place, pattern in enumerate(patterns)
+        Finding(pattern, value=4.0 - index / 10, episode=index, **sizes, **source)
+        for index, pattern in enumerate(patterns)
     ]
     return Catalogue.from_findings(findings, **how)
 
@@ -36,15 +36,15 @@ def moved(pattern, turn=1.3, scale=2.0, mirror=False):
 
 
 def names(classes):
-    return [one.name for one in classes]
+    return [pattern.name for pattern in classes]
 
 
 def test_a_pattern_moved_and_relabelled_is_found():
-    ours = catalogue(ring(6), around(6), CHIRAL)
-    assert len(ours.classes) == 3
-    assert names(unmatched(ours, [])) == ["P1", "P2", "P3"]
-    assert names(unmatched(ours, [moved(around(6))])) == ["P1", "P3"]
-    assert unmatched(ours, [moved(CHIRAL, mirror=True), moved(ring(6)), moved(around(6))]) == ()
+    candidates = catalogue(ring(6), around(6), CHIRAL)
+    assert len(candidates.classes) == 3
+    assert names(unmatched(candidates, [])) == ["P1", "P2", "P3"]
+    assert names(unmatched(candidates, [moved(around(6))])) == ["P1", "P3"]
+    assert unmatched(candidates, [moved(CHIRAL, mirror=True), moved(ring(6)), moved(around(6))]) == ()
 
 
 def test_it_compares_as_the_catalogue_does():
@@ -59,10 +59,10 @@ def test_it_compares_as_the_catalogue_does():
 @pytest.mark.parametrize("seed", range(5))
 def test_the_tolerance_is_the_distance(seed):
     rng = np.random.default_rng(seed)
-    ours, other = rng.normal(size=(2, 5, 2))
-    apart = distance(ours, other)
-    assert unmatched(catalogue(ours, tolerance=apart * 1.001), [other]) == ()
-    assert names(unmatched(catalogue(ours, tolerance=apart * 0.999), [other])) == ["P1"]
+    pattern, other = rng.normal(size=(2, 5, 2))
+    apart = distance(pattern, other)
+    assert unmatched(catalogue(pattern, tolerance=apart * 1.001), [other]) == ()
+    assert names(unmatched(catalogue(pattern, tolerance=apart * 0.999), [other])) == ["P1"]
 
 
 @pytest.mark.unchecked

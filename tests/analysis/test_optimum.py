@@ -21,7 +21,7 @@ def test_a_short_search_finds_the_best_known_five(objective):
     result = search(config)
     assert result[0].valid
     assert result[0].value == pytest.approx(best_known(config.target), abs=1e-8)
-    values = [one.value for one in result if one.valid]
+    values = [formation.value for formation in result if formation.valid]
     assert values == sorted(values, reverse=True)
 
 
@@ -29,10 +29,12 @@ def test_annealing_alone_is_as_many_ends_as_are_polished():
     config = OptimumConfig(replace(WORLD, scan_radius=100.0), "C1", annealing=SHORT, polished=6)
     ends = annealed(config)
     assert len(ends) == 6
-    assert max(one.value for one in ends if one.valid) == pytest.approx(best_known(config.target), abs=1e-8)
+    assert max(formation.value for formation in ends if formation.valid) == pytest.approx(
+        best_known(config.target), abs=1e-8
+    )
     searched = search(config)
     for end in ends:
-        assert min(abs(end.value - one.value) for one in searched) < 1e-4
+        assert min(abs(end.value - formation.value) for formation in searched) < 1e-4
     assert annealed(replace(config, polished=0)) == []
 
 
@@ -47,7 +49,7 @@ def test_basin_hopping_agrees_with_annealing():
 def test_the_same_seed_gives_the_same_formations():
     config = OptimumConfig(WORLD, "C2", annealing=SHORT, polished=3, seed=3)
     first, second = search(config), search(config)
-    assert [one.value for one in first] == [one.value for one in second]
+    assert [formation.value for formation in first] == [formation.value for formation in second]
 
 
 def test_weights_decide_what_is_given_up():
@@ -86,8 +88,8 @@ def test_formations_that_are_the_same_pattern_count_once():
     turned = square @ np.array([[0.6, -0.8], [0.8, 0.6]])
     other = 5.0 * np.array([[0, 0], [1, 0], [0.5, 0.9], [0, 2]])
     formations = [Formation(other, 1.0, False), Formation(square, 0.9, True), Formation(turned, 0.9, True)]
-    assert [one.value for one in distinct(formations, 5.0)] == [0.9, 1.0]
-    assert [one.value for one in distinct(formations, 5.0, only_valid=False)] == [1.0, 0.9]
+    assert [formation.value for formation in distinct(formations, 5.0)] == [0.9, 1.0]
+    assert [formation.value for formation in distinct(formations, 5.0, only_valid=False)] == [1.0, 0.9]
 
 
 @pytest.mark.parametrize(

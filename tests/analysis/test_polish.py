@@ -91,16 +91,18 @@ def test_slopes_are_those_of_the_cost(reading, objective):
     points = scattered(11, side=22.0) / 5
     problem = _Problem.from_target(5 * points, target)
     _, slope = problem.cost(points, 1e-3)
-    kept = problem.constraints(points)
-    jacobian = kept.linearized(points)[1]
-    for place in range(points.size):
+    constraints = problem.constraints(points)
+    jacobian = constraints.linearized(points)[1]
+    for coordinate in range(points.size):
         step = np.zeros(points.size)
-        step[place] = 1e-6
+        step[coordinate] = 1e-6
         ahead, behind = (points + sign * step.reshape(points.shape) for sign in (1, -1))
-        assert slope[place] == pytest.approx(
+        assert slope[coordinate] == pytest.approx(
             (problem.cost(ahead, 1e-3)[0] - problem.cost(behind, 1e-3)[0]) / 2e-6, abs=1e-5
         )
-        assert jacobian[:, place] == pytest.approx((kept.slack(ahead) - kept.slack(behind)) / 2e-6, abs=1e-5)
+        assert jacobian[:, coordinate] == pytest.approx(
+            (constraints.slack(ahead) - constraints.slack(behind)) / 2e-6, abs=1e-5
+        )
     # What is made small is the objective, up to a constant and a factor.
     other = points * 1.01
     cost = problem.cost(other, 0.0)[0] - problem.cost(points, 0.0)[0]

@@ -65,8 +65,10 @@ def parser():
 
 
 def test_fields_and_own_arguments(parser):
-    words = "--world.radius 2 A --policy central --resume --seed=3 --policy.hidden 8,9 --policy.clip none --out here"
-    options, data = parser.parse(words.split())
+    command_line = (
+        "--world.radius 2 A --policy central --resume --seed=3 --policy.hidden 8,9 --policy.clip none --out here"
+    )
+    options, data = parser.parse(command_line.split())
     assert vars(options) == {"experiment": "A", "out": "here", "resume": True, "count": 1}
     assert data == {
         "seed": 3,
@@ -87,7 +89,7 @@ def test_negative_numbers_are_values(parser, value):
 
 
 @pytest.mark.parametrize(
-    ("words", "line"),
+    ("command_line", "line"),
     [
         ("A --world.radus 1", "unknown flag --world.radus; did you mean --world.radius? (see murmurate discover"),
         ("A --world.radus=1", "unknown flag --world.radus; did you mean --world.radius? (see murmurate discover"),
@@ -106,16 +108,16 @@ def test_negative_numbers_are_values(parser, value):
         ("A --resume=1", "--resume takes no value"),
     ],
 )
-def test_usage_errors_are_one_line(parser, words, line, capsys):
+def test_usage_errors_are_one_line(parser, command_line, line, capsys):
     with pytest.raises(UsageError) as caught:
-        parser.parse(words.split())
+        parser.parse(command_line.split())
     assert line in str(caught.value)
     assert "\n" not in str(caught.value)
     assert capsys.readouterr() == ("", "")
 
 
 @pytest.mark.parametrize(
-    ("words", "line"),
+    ("command_line", "line"),
     [
         ("A --world.radius big", "world.radius = 'big': must be a number"),
         ("A --policy centrl", "policy.kind = 'centrl': must be one of central, equivariant"),
@@ -131,9 +133,9 @@ def test_usage_errors_are_one_line(parser, words, line, capsys):
         ("A --count x", "--count = 'x': must be an integer"),
     ],
 )
-def test_wrong_values_are_those_of_the_fields(parser, words, line):
+def test_wrong_values_are_those_of_the_fields(parser, command_line, line):
     with pytest.raises(InputError) as caught:
-        parser.parse(words.split())
+        parser.parse(command_line.split())
     assert str(caught.value) == line
 
 

@@ -50,13 +50,13 @@ def test_merging_catalogues_is_the_catalogue_of_all_runs_in_any_order(discovered
         assert main(["catalogue", *map(str, sources), "--out", str(tmp_path / name)]) == 0
         return tmp_path / name
 
-    one, two = make("one", discovered), make("two", second)
+    first_part, second_part = make("one", discovered), make("two", second)
     together = [
         make(name, *sources)
         for name, sources in {
             "runs": (discovered, second),
-            "merged": (one, two),
-            "reversed": (two, one, discovered),
+            "merged": (first_part, second_part),
+            "reversed": (second_part, first_part, discovered),
         }.items()
     ]
     for name in ("catalogue.json", "catalogue.csv", "plate.png"):

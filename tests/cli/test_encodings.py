@@ -14,7 +14,7 @@ from murmurate.runs import escape
 
 
 @pytest.fixture
-def said(monkeypatch):
+def run_encoded(monkeypatch):
     """Runs a command whose output goes to a terminal or a pipe of an encoding; returns status, stdout and stderr."""
 
     def run(encoding, errors, *arguments):
@@ -41,7 +41,7 @@ def said(monkeypatch):
     ],
 )
 def test_output_is_replaced_where_it_cannot_be_encoded(
-    encoding, errors, name, shown, said, discovered, tiny_toml, tmp_path, monkeypatch
+    encoding, errors, name, shown, run_encoded, discovered, tiny_toml, tmp_path, monkeypatch
 ):
     monkeypatch.chdir(tmp_path)
     folder = tmp_path / name
@@ -61,18 +61,18 @@ def test_output_is_replaced_where_it_cannot_be_encoded(
         ("catalogue", name, "--out", f"{name}5"): f"plate: {shown}5",
         ("export", name, "--trajectories", "csv", "--episodes", "1"): f"waypoints: {shown}.csv",
     }.items():
-        status, out, err = said(encoding, errors, *arguments)
+        status, out, err = run_encoded(encoding, errors, *arguments)
         assert (status, part in out, "Traceback" in err) == (0, True, False), (arguments, out, err)
     for arguments in (("evaluate", f"{name}9"), ("discover", "C", "--world.robots", name), (name,)):
-        status, out, err = said(encoding, errors, *arguments)
+        status, out, err = run_encoded(encoding, errors, *arguments)
         assert (status, out, err.count("\n")) == (2, "", 1)
     assert run.exists()
 
 
-def test_the_page_of_a_comparison_holds_the_command_whatever_its_names(said, tmp_path, monkeypatch):
+def test_the_page_of_a_comparison_holds_the_command_whatever_its_names(run_encoded, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     name = os.fsdecode(b"d\xe9p")
     arguments = ("compare", "--methods", "learned", "--robots", "3", "--episodes", "2", "--out", name)
-    status, out, _ = said("ascii", "strict", *arguments)
+    status, out, _ = run_encoded("ascii", "strict", *arguments)
     assert (status, "table: d?p" in out) == (0, True)
     assert r"--out 'd\udce9p'" in (tmp_path / name / "comparison.md").read_text("utf-8")

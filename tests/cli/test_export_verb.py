@@ -31,7 +31,7 @@ def test_a_model_that_onnxruntime_runs(discovered, tmp_path, monkeypatch, capsys
     import onnxruntime
 
     session = onnxruntime.InferenceSession("central.onnx")
-    shapes = {one.name: one.shape for one in session.get_inputs()}
+    shapes = {model_input.name: model_input.shape for model_input in session.get_inputs()}
     inputs = {"positions": np.zeros((4, 3, 2), np.float32), "memory": np.zeros((4, shapes["memory"][1]), np.float32)}
     assert session.run(None, inputs)[0].shape == (4, 3, 2)
     assert "central.onnx exists: choose another --out" in complaint(capsys, ["export", str(discovered), "--onnx"])

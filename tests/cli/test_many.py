@@ -72,7 +72,7 @@ def test_fields_vary_with_every_seed(tiny_toml, tmp_path, capsys):
         start = f"| {folder} | tiny | central | 3 | auxiliary.ppo.discount={discount} |"
         assert sum(line.startswith(start) for line in lines) == 1
     assert set(result) == {f"tiny-central-seed3-discount{discount}-horizon7" for discount in ("0.8", "0.9")}
-    assert {(one.auxiliary.ppo.discount, one.base.horizon, one.seed) for one in result.values()} == {
+    assert {(config.auxiliary.ppo.discount, config.base.horizon, config.seed) for config in result.values()} == {
         (0.8, 7, 3),
         (0.9, 7, 3),
     }

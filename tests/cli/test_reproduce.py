@@ -34,8 +34,8 @@ def work(tmp_path, monkeypatch):
 
     def make_plan(seed, quick):
         planning.make_plan.seen = (seed, quick)
-        ours = {name.split("-")[1]: PlannedRun(name, name.split("-")[1], tiny(seed=s)) for s, name in enumerate(NAMES)}
-        return Plan(seed, quick, dict.fromkeys(EXPERIMENTS, ours), {"scattered": {3: ours["equivariant"]}})
+        runs = {name.split("-")[1]: PlannedRun(name, name.split("-")[1], tiny(seed=s)) for s, name in enumerate(NAMES)}
+        return Plan(seed, quick, dict.fromkeys(EXPERIMENTS, runs), {"scattered": {3: runs["equivariant"]}})
 
     monkeypatch.setattr(planning, "make_plan", make_plan)
     for name in ("robot", "visibility", "training", "reward", "formation", "patterns", "growth"):

@@ -46,8 +46,8 @@ def test_discover_says_what_it_found(discovered, tiny_toml, capsys):
 def test_the_default_folder_names_experiment_learner_and_seed(tiny_toml, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "more.toml").write_text("seed = 5\n[base]\nhorizon = 9\n")
-    words = ["discover", str(tiny_toml), "--config", "more.toml", "--seed", "6", "--base.ppo.clip", "0.1"]
-    assert main(words) in (0, 3)
+    command = ["discover", str(tiny_toml), "--config", "more.toml", "--seed", "6", "--base.ppo.clip", "0.1"]
+    assert main(command) in (0, 3)
     config = load("runs/tiny-central-seed6")
     assert (config.seed, config.base.horizon, config.base.ppo.clip) == (6, 9, 0.1)
 
@@ -63,8 +63,8 @@ def test_no_valid_pattern_is_status_3_and_the_run_is_kept(tiny_toml, tmp_path, c
 
 def test_a_training_that_diverges_is_one_line(tiny_toml, tmp_path, capsys):
     out = tmp_path / "run"
-    words = ["--base.ppo.policy_rate", "1e30", "--base.ppo.policy_rate_end", "1e30", "--quiet"]
-    assert main(["discover", str(tiny_toml), "--out", str(out), *words]) == 2
+    options = ["--base.ppo.policy_rate", "1e30", "--base.ppo.policy_rate_end", "1e30", "--quiet"]
+    assert main(["discover", str(tiny_toml), "--out", str(out), *options]) == 2
     printed, err = capsys.readouterr()
     assert printed == ""
     assert err.startswith(f"murmurate: {out}: the training of the base policy diverged at update ")
@@ -90,10 +90,10 @@ def test_progress_is_a_line_for_each_chunk_in_a_log_and_none_with_quiet(tiny_tom
 
 def test_discover_begins_with_the_policies_of_a_run(discovered, tiny_toml, tmp_path, capsys):
     out = tmp_path / "run"
-    words = ["discover", str(tiny_toml), "--from", str(discovered), "--seed", "1", "--out", str(out)]
-    assert main(words) in (0, 3)
+    command = ["discover", str(tiny_toml), "--from", str(discovered), "--seed", "1", "--out", str(out)]
+    assert main(command) in (0, 3)
     assert RunFolder(out).manifest()["initial"]["experiment"] == "tiny"
-    assert main([*words, "--resume"]) in (0, 3)
+    assert main([*command, "--resume"]) in (0, 3)
     capsys.readouterr()
     other = ["discover", str(tiny_toml), "--from", str(tmp_path / "none"), "--out", str(tmp_path / "x")]
     assert main(other) == 2
@@ -222,15 +222,15 @@ def test_an_evaluation_says_what_failed_and_why(tiny_run, tmp_path, capsys):
     starts.write_text("start,x,y\n" + "".join(f"7,{x},0\n" for x in (-6, 0, 6)) + "3,-6,0.1\n3,0,0\n3,5,0.2\n")
     out = tmp_path / "out"
     assert main(["evaluate", str(tiny_run("equivariant")), "--starts", str(starts), "--out", str(out)]) == 0
-    said, summary = capsys.readouterr().out, RunFolder(out).evaluation()
+    output, summary = capsys.readouterr().out, RunFolder(out).evaluation()
     hidden = round(2 * (1 - summary["mutually_visible"]))
     assert hidden >= 1
-    assert f"{len(summary['failures'])} of 2 starts failed: " in said
-    assert f"{hidden} not mutually visible" in said
+    assert f"{len(summary['failures'])} of 2 starts failed: " in output
+    assert f"{hidden} not mutually visible" in output
     assert 0 in summary["failures"]
-    assert "began symmetric and stayed so" in said
-    assert "contact-free" in said
-    assert "inside" in said
+    assert "began symmetric and stayed so" in output
+    assert "contact-free" in output
+    assert "inside" in output
     # The picture of given starts does not call them what the experiment's own are.
     recording = plots.Recording.open(out)
     assert describe_swarm(recording) == "3 robots, starts of line.csv"
@@ -239,7 +239,7 @@ def test_an_evaluation_says_what_failed_and_why(tiny_run, tmp_path, capsys):
 
 def test_fewer_valid_patterns_than_required_have_a_status_of_their_own(copy_of_tiny_run, tiny_toml, capsys):
     run = RunFolder(copy_of_tiny_run())
-    words = ["discover", str(tiny_toml), "--out", str(run.path), "--resume"]
+    command = ["discover", str(tiny_toml), "--out", str(run.path), "--resume"]
     summary = files.read_json(run.path / "evaluation.json")
     for count, status, line in (
         (3, 5, "Valid patterns from 1.5% of the starts; discovery.required_valid asks for 50.0%."),
@@ -250,10 +250,10 @@ def test_fewer_valid_patterns_than_required_have_a_status_of_their_own(copy_of_t
         valid = {"valid": count / 200, "valid_interval": list(wilson(count, 200))}
         files.write_json(run.path / "evaluation.json", summary | valid)
         run.write_manifest(run.manifest(), policies=2)
-        assert main(words) == status
+        assert main(command) == status
         assert line in capsys.readouterr().out
-    for words in (["--help"], ["discover", "--help"]):
-        assert main(words) == 0
+    for command in (["--help"], ["discover", "--help"]):
+        assert main(command) == 0
         assert "5 fewer of them than discovery.required_valid asks for" in " ".join(capsys.readouterr().out.split())
 
 

@@ -164,8 +164,8 @@ def test_the_same_seed_makes_the_same_weights(unbroken):
 def test_resuming_makes_the_same_weights(unbroken, at):
     """In the midst of a policy or between two; the snapshot has been to the host and back, the discovery is new."""
     snapshots, _, _ = unbroken
-    kept = jax.device_get((snapshots[at].policies, snapshots[at].sigma, snapshots[at].train))
-    policies, sigma, train = jax.tree.map(jnp.asarray, kept)
+    host_copy = jax.device_get((snapshots[at].policies, snapshots[at].sigma, snapshots[at].train))
+    policies, sigma, train = jax.tree.map(jnp.asarray, host_copy)
     ended = finish(Judged(PROBLEM), replace(snapshots[at], policies=policies, sigma=sigma, train=train))
     assert same(ended.policies, snapshots[-1].policies)
     assert same(ended.sigma, snapshots[-1].sigma)

@@ -26,9 +26,9 @@ def ring(radius=8.0, angles=tuple(range(0, 360, 60))):
     return radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
 
 
-def with_robot(number, place, configuration=None):
+def with_robot(number, position, configuration=None):
     configuration = (ring() if configuration is None else configuration).copy()
-    configuration[number] = place
+    configuration[number] = position
     return configuration
 
 
@@ -104,8 +104,8 @@ def test_every_step_after_rest_must_be_valid():
     for angle in (28.9, 47):
         assert_formed_and_lost(validity(ring(), after=[ring(angles=(angle, 60, 120, 180, 240, 300)), ring()]))
     assert_formed_and_lost(validity(ring(), after=[ring()[[3, 1, 2, 0, 4, 5]], ring()]))
-    for place in ((35.1, 0), (0, 0), (25, 0)):
-        assert_formed_and_lost(validity(ring(), after=[with_robot(0, place), ring()]))
+    for position in ((35.1, 0), (0, 0), (25, 0)):
+        assert_formed_and_lost(validity(ring(), after=[with_robot(0, position), ring()]))
 
 
 def test_what_nobody_saw_after_rest_is_not_known_to_stay():

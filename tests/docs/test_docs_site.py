@@ -141,8 +141,8 @@ def test_text_and_navigation_are_there_without_javascript(page, pages):
     title = re.search(r"^# (.*)$", (DOCS / page).read_text("utf-8"), re.MULTILINE)[1]
     assert title in "".join(shown.article)
     assert len("".join(shown.article).split()) > 30
-    there = {target(name, link)[0] for link in shown.links if not outside(link)}
-    assert {"index.html", "start.html", "world.html", "api/index.html"} <= there
+    targets = {target(name, link)[0] for link in shown.links if not outside(link)}
+    assert {"index.html", "start.html", "world.html", "api/index.html"} <= targets
 
 
 def test_the_reference_writes_arrays_as_the_source_does(pages):

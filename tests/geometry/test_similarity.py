@@ -97,8 +97,8 @@ def test_symmetric_patterns_against_every_angle(pattern):
 def test_the_same_pattern_is_at_no_distance(robots):
     rng = np.random.default_rng(robots)
     for points in (rng.normal(size=(robots, 2)), ring(robots)):
-        there = moved(points, rng, scale=3.7)
-        assert distance(points, there, reflection=False) < 1e-12
+        copy = moved(points, rng, scale=3.7)
+        assert distance(points, copy, reflection=False) < 1e-12
         image = moved(points, rng, mirror=True)
         assert distance(points, image, scaling=False) < 1e-11
 

@@ -198,9 +198,9 @@ def test_far_from_the_origin(array):
     """Only differences of positions count, so that an offset costs no more than the digits it takes from them."""
     rng = np.random.default_rng(0)
     for offset in ([1e4, -3e4], [1e6, 1e6]):
-        there = array(rng.permuted(np.mgrid[:4, :4].reshape(2, -1).T * 5.0, axis=0)[:9] + offset)
-        here = array(np.asarray(there, np.float64) - offset)
-        np.testing.assert_array_equal(readings(there), readings(here))
+        far_positions = array(rng.permuted(np.mgrid[:4, :4].reshape(2, -1).T * 5.0, axis=0)[:9] + offset)
+        positions = array(np.asarray(far_positions, np.float64) - offset)
+        np.testing.assert_array_equal(readings(far_positions), readings(positions))
 
 
 @pytest.mark.parametrize("exponent", [-12, 12])

@@ -287,8 +287,8 @@ def test_the_same_seed_gives_the_same_episode_and_another_another():
 
 def test_without_a_seed_starts_go_on():
     env, other = make(), make()
-    for one in (env, other):
-        one.reset(seed=3)
+    for environment in (env, other):
+        environment.reset(seed=3)
     starts = [env.reset()[0] for _ in range(3)]
     assert (starts[0] != starts[1]).all()
     assert (starts[1] != starts[2]).all()
@@ -302,17 +302,17 @@ def test_arrays_are_handed_out_once():
     env.reset(seed=0, options={"positions": given})
     given[:] = 0
     at(other)
-    kept = []
+    pairs = []
     for _ in range(4):
         action = np.full((3, 2), 0.25, np.float32)
         observation, *_, info = env.step(action)
         expected, *_ = other.step(np.full((3, 2), 0.25))
         assert data_equivalence(observation, expected, exact=True)
-        kept.append((observation, expected))
+        pairs.append((observation, expected))
         for written in (action, *observation.values()):
             written[:] = 7
         info.clear()
-    for observation, expected in kept:
+    for observation, expected in pairs:
         assert all((array == 7).all() for array in observation.values())
         assert len(np.unique(expected["positions"])) > 1
 

@@ -81,12 +81,12 @@ def act(policy, positions):
 def test_one_policy_serves_any_swarm_and_is_ours_to_1e_5(one_policy, robots):
     policy, model = one_policy
     positions = configurations(robots, STATES)
-    (theirs,) = model.session().run(None, {"positions": positions})
-    ours = np.moveaxis(act(policy, np.moveaxis(positions, 0, -1)), -1, 0)
-    assert np.abs(ours).max() > 0.1 or robots == 1  # alone, and without a point to gather at, a robot stays
-    np.testing.assert_allclose(theirs, ours, atol=1e-5)
-    stands = (ours == 0).all(axis=2)
-    assert (np.linalg.norm(ours, axis=2)[~stands] >= LEAST_SPEED - 1e-6).all()
+    (result,) = model.session().run(None, {"positions": positions})
+    expected = np.moveaxis(act(policy, np.moveaxis(positions, 0, -1)), -1, 0)
+    assert np.abs(expected).max() > 0.1 or robots == 1  # alone, and without a point to gather at, a robot stays
+    np.testing.assert_allclose(result, expected, atol=1e-5)
+    stands = (expected == 0).all(axis=2)
+    assert (np.linalg.norm(expected, axis=2)[~stands] >= LEAST_SPEED - 1e-6).all()
     assert stands.any() or robots == 11, "many robots see much, and all want to move"
 
 
@@ -106,17 +106,17 @@ def test_a_cascade_changes_over_and_rests_as_ours_does_in_swarms_of_any_size(equ
     run, model = equivariant
     run = run.of_size(robots)
     starts = run.starts(24, 3)
-    ours = run.rollout(starts)
+    trajectories = run.rollout(starts)
     positions, charges = loop(model.session(), starts)
     # A model knows nothing of collisions: it is compared until then.
-    for episode, length in enumerate(ours.lengths):
-        expected = ours.positions[episode, : length + 1]
+    for episode, length in enumerate(trajectories.lengths):
+        expected = trajectories.positions[episode, : length + 1]
         np.testing.assert_allclose(positions[episode, : length + 1], expected, atol=1e-3)
-    whole = ~ours.terminated
-    np.testing.assert_array_equal((charges == 0).sum(axis=1)[whole], ours.switch[whole, 0])
-    np.testing.assert_array_equal((charges < 2).sum(axis=1)[whole], ours.lengths[whole])
-    assert len(set(ours.switch[whole, 0])) > 2
-    assert ours.at_rest[whole].any()
+    whole = ~trajectories.terminated
+    np.testing.assert_array_equal((charges == 0).sum(axis=1)[whole], trajectories.switch[whole, 0])
+    np.testing.assert_array_equal((charges < 2).sum(axis=1)[whole], trajectories.lengths[whole])
+    assert len(set(trajectories.switch[whole, 0])) > 2
+    assert trajectories.at_rest[whole].any()
 
 
 def test_a_central_cascade_has_a_dynamic_batch_and_its_own_number_of_robots():
@@ -166,8 +166,8 @@ def test_a_robot_with_its_own_eyes_moves_by_its_model_as_in_the_world(objective,
             x, y = starts[:, robot].T
             feet = [(30 - x, 0 * x), (0 * x, 25 - y), (-30 - x, 0 * x), (0 * x, -25 - y)]
             inputs["walls"] = into(np.moveaxis(np.array(feet), -1, 0))
-        (theirs,) = model.session().run(None, {name: a.astype(np.float32) for name, a in inputs.items()})
-        np.testing.assert_allclose(theirs, expected[:, robot], atol=1e-5)
+        (result,) = model.session().run(None, {name: a.astype(np.float32) for name, a in inputs.items()})
+        np.testing.assert_allclose(result, expected[:, robot], atol=1e-5)
 
 
 def symmetric(robots):
@@ -188,9 +188,9 @@ def symmetric(robots):
 def test_symmetric_swarms_are_ours_to_1e_5(one_policy, robots):
     policy, model = one_policy
     positions = symmetric(robots)
-    (theirs,) = model.session().run(None, {"positions": positions})
-    ours = np.moveaxis(act(policy, np.moveaxis(positions, 0, -1)), -1, 0)
-    np.testing.assert_allclose(theirs, ours, atol=1e-5)
+    (result,) = model.session().run(None, {"positions": positions})
+    expected = np.moveaxis(act(policy, np.moveaxis(positions, 0, -1)), -1, 0)
+    np.testing.assert_allclose(result, expected, atol=1e-5)
 
 
 @pytest.mark.parametrize("robots", [2, 3, 10, 16])
@@ -269,8 +269,10 @@ def test_a_model_is_in_the_operators_and_the_format_that_older_runtimes_have(equ
     assert model.difference(run, CHECKED) < onnx.TOLERANCE
     positions = configurations(ROBOTS, 20)
     memory = np.zeros((20, model.session().get_inputs()[1].shape[1]), np.float32)
-    theirs, ours = (each.session().run(None, {"positions": positions, "memory": memory}) for each in (model, newest))
-    for result, expected in zip(theirs, ours, strict=True):
+    outputs, newest_outputs = (
+        each.session().run(None, {"positions": positions, "memory": memory}) for each in (model, newest)
+    )
+    for result, expected in zip(outputs, newest_outputs, strict=True):
         np.testing.assert_allclose(result, expected, atol=1e-5)
 
 
@@ -312,8 +314,8 @@ def test_a_policy_that_is_not_there_is_refused(equivariant, index):
 
 
 def test_several_local_policies_do_not_make_a_cascade_of_robots_on_their_own():
-    one = local("C1", False)[0]
-    run = replace(one, cascade=eqx.tree_at(lambda c: c.policies, one.cascade, 2 * one.cascade.policies))
+    single = local("C1", False)[0]
+    run = replace(single, cascade=eqx.tree_at(lambda c: c.policies, single.cascade, 2 * single.cascade.policies))
     with pytest.raises(InputError, match="no robot alone can tell"):
         onnx.export(run)
 

@@ -199,11 +199,11 @@ def test_loops_that_go_on_with_whom_is_left_see_everyone_and_then_nobody():
 
 def test_rewards_are_shared_or_each_robots_own():
     velocities = np.array([[0.5, 0.25], [0.0, 0.0], [-0.5, 0.5]], np.float32)
-    shared, own = make(), make(reward="robots")
+    shared, individual = make(), make(reward="robots")
     at(shared)
-    at(own)
+    at(individual)
     together = shared.step(one_by_one(velocities / 0.5))[1]
-    apart = own.step(one_by_one(velocities / 0.5))[1]
+    apart = individual.step(one_by_one(velocities / 0.5))[1]
     _, (transition,) = played(world(per_robot_credit=True), TRIANGLE, [velocities])
     close(list(together.values()), [float(transition.reward)] * 3)
     close(list(apart.values()), transition.credit)

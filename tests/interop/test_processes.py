@@ -28,7 +28,7 @@ ASCII = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0", "PYTHONIO
 
 
 @pytest.fixture(scope="module")
-def found(tmp_path_factory):
+def results(tmp_path_factory):
     """What one process found, with the flags and the locale of another user."""
     folder = tmp_path_factory.mktemp("processes")
     subprocess.run([sys.executable, SCRIPT, folder], env={**os.environ, **FLAGS, **ASCII}, check=True, timeout=120)
@@ -40,40 +40,40 @@ forks = pytest.mark.skipif("fork" not in multiprocessing.get_all_start_methods()
 
 
 @forks
-def test_nothing_starts_jax_before_the_first_reset_so_that_environments_can_be_forked(found):
-    assert found["started"] is False
-    assert len(found["fork"][1]) == 2
+def test_nothing_starts_jax_before_the_first_reset_so_that_environments_can_be_forked(results):
+    assert results["started"] is False
+    assert len(results["fork"][1]) == 2
 
 
 @forks
-def test_workers_that_are_spawned_do_as_those_that_are_forked(found):
-    assert found["spawn"] == found["fork"]
+def test_workers_that_are_spawned_do_as_those_that_are_forked(results):
+    assert results["spawn"] == results["fork"]
 
 
 @forks
-def test_workers_compute_as_this_process_does_whatever_flags_they_have(found):
+def test_workers_compute_as_this_process_does_whatever_flags_they_have(results):
     env = gymnasium.make(ENV_ID, **{name: value for name, value in SWARM.items() if name != "max_speed"})
-    for seed, start, after in zip([4, 5], *found["fork"][1:], strict=True):
+    for seed, start, after in zip([4, 5], *results["fork"][1:], strict=True):
         np.testing.assert_array_equal(env.reset(seed=seed)[0], np.float32(start))
         np.testing.assert_allclose(env.step(np.ones((3, 2)))[0], after, rtol=1e-6)
-    assert found["fork"][0] == "float32"
+    assert results["fork"][0] == "float32"
 
 
 @forks
-def test_a_process_forked_after_jax_was_started_is_refused_in_one_line(found):
-    for message in (*found["too late"], found["computation"]):
+def test_a_process_forked_after_jax_was_started_is_refused_in_one_line(results):
+    for message in (*results["too late"], results["computation"]):
         assert message.startswith("JAX had been started before this process was forked")
         assert 'context="spawn"' in message
         assert "\n" not in message
 
 
 @forks
-def test_an_error_of_a_worker_keeps_its_line(found):
-    assert found["wrong action"] == ["action", "action = 'an array with NaN or infinity': must be finite"]
+def test_an_error_of_a_worker_keeps_its_line(results):
+    assert results["wrong action"] == ["action", "action = 'an array with NaN or infinity': must be finite"]
 
 
-def test_pictures_do_not_depend_on_the_locale(found):
-    assert found["picture"] == [400, 480, 3]
+def test_pictures_do_not_depend_on_the_locale(results):
+    assert results["picture"] == [400, 480, 3]
 
 
 def test_errors_go_from_process_to_process():

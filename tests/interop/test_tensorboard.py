@@ -25,7 +25,7 @@ def read(folder):
         while data:
             (length,) = struct.unpack("<Q", data[:8])
             event = Event.FromString(data[12 : 12 + length])
-            points += [(one.tag, event.step, one.simple_value, event.wall_time) for one in event.summary.value]
+            points += [(value.tag, event.step, value.simple_value, event.wall_time) for value in event.summary.value]
             data = data[16 + length :]
     return points
 

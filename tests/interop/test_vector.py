@@ -73,17 +73,17 @@ def test_make_vec_makes_one_program_of_many_worlds():
 @pytest.mark.parametrize("observations", ["positions", "sensing"])
 @pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
 def test_a_vector_of_one_is_gymnasiums_vector_of_the_single_environment(mode, observations):
-    ours = make(mode, num_envs=1, observations=observations, horizon=9)
+    vector = make(mode, num_envs=1, observations=observations, horizon=9)
     maker = [lambda: GatheringEnv(**SWARM, observations=observations, horizon=9)]
-    theirs = SyncVectorEnv(maker, autoreset_mode=mode)
-    assert ours.observation_space == theirs.observation_space
-    assert ours.action_space == theirs.action_space
-    assert data_equivalence(ours.reset(seed=2), theirs.reset(seed=2), exact=True)
-    ours.action_space.seed(2)
+    sync_vector = SyncVectorEnv(maker, autoreset_mode=mode)
+    assert vector.observation_space == sync_vector.observation_space
+    assert vector.action_space == sync_vector.action_space
+    assert data_equivalence(vector.reset(seed=2), sync_vector.reset(seed=2), exact=True)
+    vector.action_space.seed(2)
     ends = 0
     for _ in range(40):
-        actions = ours.action_space.sample()
-        result, expected = ours.step(actions), theirs.step(actions)
+        actions = vector.action_space.sample()
+        result, expected = vector.step(actions), sync_vector.step(actions)
         assert data_equivalence(list(result), list(expected), exact=True)
         ends += result[2][0] or result[3][0]
     assert ends >= 3
@@ -287,12 +287,12 @@ def test_impossible_starts_are_refused():
 
 
 def test_every_world_may_have_a_seed_of_its_own():
-    env, one = make(), gymnasium.make(ENV_ID, **SWARM)
+    env, single = make(), gymnasium.make(ENV_ID, **SWARM)
     seeds = [7, 1, 7, 3]
     observation, _ = env.reset(seed=seeds)
     for index, seed in enumerate(seeds):
-        np.testing.assert_array_equal(observation[index], one.reset(seed=seed)[0])
-    again = one.reset()[0]  # the starts that follow are those of the seed, too
+        np.testing.assert_array_equal(observation[index], single.reset(seed=seed)[0])
+    again = single.reset()[0]  # the starts that follow are those of the seed, too
     np.testing.assert_array_equal(env.reset()[0][3], again)
     np.testing.assert_array_equal(env.reset(seed=np.array(seeds))[0], observation)
     np.testing.assert_array_equal(env.reset(seed=tuple(seeds))[0], observation)
@@ -300,8 +300,8 @@ def test_every_world_may_have_a_seed_of_its_own():
 
 def test_a_world_without_a_seed_goes_on_as_it_was():
     env, twin = make(), make()
-    for one in (env, twin):
-        one.reset(seed=5)
+    for environment in (env, twin):
+        environment.reset(seed=5)
     observation = env.reset(seed=[None, 2, None, None])[0]
     np.testing.assert_array_equal(observation, twin.reset(seed=[None, 2, None, None])[0])
     np.testing.assert_array_equal(observation[1], gymnasium.make(ENV_ID, **SWARM).reset(seed=2)[0])
@@ -312,26 +312,26 @@ def test_a_world_without_a_seed_goes_on_as_it_was():
 
 
 def test_a_new_start_is_of_the_worlds_own_seed():
-    env, one = make(AutoresetMode.SAME_STEP, horizon=2), gymnasium.make(ENV_ID, **SWARM)
+    env, single = make(AutoresetMode.SAME_STEP, horizon=2), gymnasium.make(ENV_ID, **SWARM)
     env.reset(seed=[3, 4, 5, 6], options={"positions": triangles(1)})
     starts = env.step(up(1))[0][1], env.step(STILL)[0][[0, 2, 3]]
-    one.reset(seed=4)
-    np.testing.assert_array_equal(starts[0], one.reset()[0])
+    single.reset(seed=4)
+    np.testing.assert_array_equal(starts[0], single.reset()[0])
     for seed, start in zip([3, 5, 6], starts[1], strict=True):
-        one.reset(seed=seed)
-        np.testing.assert_array_equal(start, one.reset()[0])
+        single.reset(seed=seed)
+        np.testing.assert_array_equal(start, single.reset()[0])
 
 
 def test_masked_worlds_alone_take_their_seeds():
     env, twin = make(AutoresetMode.DISABLED), make(AutoresetMode.DISABLED)
-    for one in (env, twin):
-        one.reset(seed=[1, 2, 3, 4])
+    for environment in (env, twin):
+        environment.reset(seed=[1, 2, 3, 4])
     mask = np.array([True, False, False, True])
     env.reset(seed=[9, 9, 9, None], options={"reset_mask": mask})
-    ours, theirs = env.reset()[0], twin.reset()[0]
-    np.testing.assert_array_equal(ours[1:3], theirs[1:3])
-    assert (ours[0] != theirs[0]).all()
-    np.testing.assert_array_equal(ours[3], twin.reset()[0][3])
+    starts, twin_starts = env.reset()[0], twin.reset()[0]
+    np.testing.assert_array_equal(starts[1:3], twin_starts[1:3])
+    assert (starts[0] != twin_starts[0]).all()
+    np.testing.assert_array_equal(starts[3], twin.reset()[0][3])
 
 
 @pytest.mark.parametrize(

@@ -135,8 +135,8 @@ def test_chunks_add_up():
     config = GradientConfig(**NUMBERS)
     numbers, shape = GradientHyperparameters.from_config(config), Segment.from_config(config)
     half, _ = train_chunk(trained(slope(), 2)[0], slope(), numbers, shape, 2)
-    for one, other in zip(jax.tree.leaves(whole), jax.tree.leaves(half), strict=True):
-        np.testing.assert_array_equal(one, other)
+    for leaf, other in zip(jax.tree.leaves(whole), jax.tree.leaves(half), strict=True):
+        np.testing.assert_array_equal(leaf, other)
 
 
 class Wall(Slope):

@@ -46,32 +46,32 @@ NUMBERS = PPOConfig(
 )
 
 
-def advance(xp, place, action):
+def advance(xp, position, action):
     """A point in the plane takes a step of up to a quarter along each axis and pays its distance from the origin."""
-    after = place + 0.25 * xp.clip(action, -1, 1)
+    after = position + 0.25 * xp.clip(action, -1, 1)
     return after, -xp.sqrt(xp.sum(after**2, axis=-2))
 
 
 def mean_return(act):
-    """The mean undiscounted return of a deterministic policy from 256 fixed starts; places are (2, starts)."""
-    place = np.random.default_rng(0).uniform(-1.5, 1.5, (2, 256)).astype(np.float32)
+    """The mean undiscounted return of a deterministic policy from 256 fixed starts; positions are (2, starts)."""
+    position = np.random.default_rng(0).uniform(-1.5, 1.5, (2, 256)).astype(np.float32)
     total = 0.0
     for _ in range(HORIZON):
-        place, reward = advance(np, place, act(place))
+        position, reward = advance(np, position, act(position))
         total += reward.mean()
     return float(total)
 
 
 class Plane(eqx.Module):
-    """The problem for our PPO: places are (1, 2, batch), and the reward of the one agent is the whole reward."""
+    """The problem for our PPO: positions are (1, 2, batch), and the reward of the one agent is the whole reward."""
 
     def reset_batch(self, key, batch):
-        place = jax.random.uniform(key, (1, 2, batch), minval=-1.5, maxval=1.5)
-        return place, jnp.zeros(batch, jnp.int32)
+        position = jax.random.uniform(key, (1, 2, batch), minval=-1.5, maxval=1.5)
+        return position, jnp.zeros(batch, jnp.int32)
 
     def step(self, state, action):
-        place, age = state
-        after, reward = advance(jnp, place, action)
+        position, age = state
+        after, reward = advance(jnp, position, action)
         truncated = age + 1 >= HORIZON
         return (after, age + 1), probes.transition(reward[0], jnp.zeros_like(truncated), truncated, {})
 
@@ -80,21 +80,21 @@ class Plane(eqx.Module):
 
 
 class GymPlane(gymnasium.Env):
-    """The problem for Stable-Baselines3; places are (2,)."""
+    """The problem for Stable-Baselines3; positions are (2,)."""
 
     observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (2,), np.float32)
     action_space = gymnasium.spaces.Box(-1, 1, (2,), np.float32)
 
     def reset(self, *, seed=None, options=None):
         super().reset(seed=seed)
-        self.place = self.np_random.uniform(-1.5, 1.5, 2).astype(np.float32)
+        self.position = self.np_random.uniform(-1.5, 1.5, 2).astype(np.float32)
         self.age = 0
-        return self.place, {}
+        return self.position, {}
 
     def step(self, action):
-        after, reward = advance(np, self.place[:, None], action[:, None])
-        self.place, self.age = after[:, 0], self.age + 1
-        return self.place, float(reward[0]), False, self.age >= HORIZON, {}
+        after, reward = advance(np, self.position[:, None], action[:, None])
+        self.position, self.age = after[:, 0], self.age + 1
+        return self.position, float(reward[0]), False, self.age >= HORIZON, {}
 
 
 class Network(eqx.Module):
@@ -109,8 +109,8 @@ class Network(eqx.Module):
         self.layers = tuple(Dense(i, o, k, gain=2**0.5) for i, o, k in zip(sizes[:-1], WIDTHS, keys, strict=True))
         self.head = Dense(WIDTHS[-1], out, last, gain=gain)
 
-    def __call__(self, place):
-        x = place[0]
+    def __call__(self, position):
+        x = position[0]
         for layer in self.layers:
             x = jnp.tanh(layer(x))
         return self.head(x)
@@ -122,8 +122,8 @@ class Policy(eqx.Module):
     mean: Network
     log_std: jax.Array
 
-    def distribution(self, place):
-        return Gaussian(self.mean(place)[None], self.log_std, joint=True)
+    def distribution(self, position):
+        return Gaussian(self.mean(position)[None], self.log_std, joint=True)
 
 
 def ours(seed):
@@ -138,7 +138,7 @@ def ours(seed):
             hyper, shape = Hyperparameters.from_config(NUMBERS), Shape.from_config(NUMBERS)
             state, _ = train_chunk(state, env, hyper, shape, check - done)
         mean, done = eqx.filter_jit(state.policy.mean), check
-        returns.append(mean_return(lambda place, mean=mean: np.asarray(mean(place[None]))))
+        returns.append(mean_return(lambda position, mean=mean: np.asarray(mean(position[None]))))
     return returns
 
 
@@ -165,7 +165,7 @@ def theirs(seed):
         if check > done:
             model.learn((check - done) * NUMBERS.worlds * NUMBERS.steps, reset_num_timesteps=False)
         done = check
-        returns.append(mean_return(lambda place: model.predict(place.T, deterministic=True)[0].T))
+        returns.append(mean_return(lambda position: model.predict(position.T, deterministic=True)[0].T))
     return returns
 
 

@@ -51,12 +51,12 @@ def test_they_are_one_program():
 
 @pytest.mark.parametrize("changed", [{"updates": 3}, {"epochs": 1}, {"steps": 4}])
 def test_other_programs_run_apart_and_keep_their_places(changed):
-    ours, other = chunk(0), chunk(1, **changed)
-    assert ours.program != other.program
-    assert ours.program == chunk(5, discount=0.3).program
-    first, second, third = train_together([ours, other, chunk(2)])
+    reference, other = chunk(0), chunk(1, **changed)
+    assert reference.program != other.program
+    assert reference.program == chunk(5, discount=0.3).program
+    first, second, third = train_together([reference, other, chunk(2)])
     assert [int(state.update) for state, _ in (first, second, third)] == [5, changed.get("updates", 5), 5]
-    assert_close(first, train(ours.state, ours.env, 5))
+    assert_close(first, train(reference.state, reference.env, 5))
     assert_close(third, train(begin(line(10), parabola(), 2), line(10), 5))
 
 

@@ -121,11 +121,11 @@ def check_labels(figure):
     texts = [text for ax in figure.axes for text in (*ax.texts, ax.title, ax.xaxis.label, ax.yaxis.label)]
     boxes = [text.get_window_extent() for text in (*figure.texts, *texts) if text.get_text()]
     boxes = [box for box in boxes if box.width > 0]
-    for place, box in enumerate(boxes):
+    for index, box in enumerate(boxes):
         assert min(box.x0, box.y0) >= 0
         assert box.x1 <= figure.bbox.width
         assert box.y1 <= figure.bbox.height
-        assert not any(box.overlaps(other) for other in boxes[place + 1 :])
+        assert not any(box.overlaps(other) for other in boxes[index + 1 :])
     return len(boxes)
 
 

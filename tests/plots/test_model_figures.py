@@ -72,6 +72,6 @@ def test_labels_within_the_page_and_apart(check_labels, draw, count):
 def test_always_the_same(tmp_path):
     for name in ("one", "two"):
         plots.save(plots.visibility_figure(), tmp_path / f"{name}.png")
-    one, two = ((tmp_path / f"{name}.png").read_bytes() for name in ("one", "two"))
-    assert one == two
-    assert len(one) < 150_000
+    first, second = ((tmp_path / f"{name}.png").read_bytes() for name in ("one", "two"))
+    assert first == second
+    assert len(first) < 150_000

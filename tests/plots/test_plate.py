@@ -113,6 +113,6 @@ def test_saved_small_and_always_the_same(tmp_path):
     for name in ("one", "two"):
         plate = plots.plate_figure([pattern(ring(10, 8.5)), pattern(ring(9, 9.0))], "Patterns")
         plots.save(plate, tmp_path / f"{name}.png")
-    one, two = ((tmp_path / f"{name}.png").read_bytes() for name in ("one", "two"))
-    assert one == two
-    assert len(one) < 150_000
+    first, second = ((tmp_path / f"{name}.png").read_bytes() for name in ("one", "two"))
+    assert first == second
+    assert len(first) < 150_000

@@ -157,9 +157,9 @@ def test_labels_within_the_page_and_apart(check_labels, recording, draw):
 def test_saved_small_and_always_the_same(recording, tmp_path, draw):
     for name in ("one", "two"):
         plots.save(draw(recording), tmp_path / "figures" / f"{name}.png")
-    one, two = ((tmp_path / "figures" / f"{name}.png").read_bytes() for name in ("one", "two"))
-    assert one == two
-    assert len(one) < 300_000
+    first, second = ((tmp_path / "figures" / f"{name}.png").read_bytes() for name in ("one", "two"))
+    assert first == second
+    assert len(first) < 300_000
     with Image.open(tmp_path / "figures" / "one.png") as picture:
         assert picture.width == 1800
     assert sorted(path.name for path in (tmp_path / "figures").iterdir()) == ["one.png", "two.png"]

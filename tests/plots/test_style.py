@@ -79,8 +79,8 @@ def crowded(colors):
 def test_every_colour_of_a_legend_survives(legend):
     """Even that of a thin dotted line in a picture that is full of other colours."""
     pixels, wanted = crowded(LEGENDS[legend])
-    kept = np.asarray(quantize(pixels, levels=8, frequent=150).convert("RGB")).astype(int)[-1, : len(wanted)]
-    assert np.abs(kept - wanted).max() <= 2
+    result = np.asarray(quantize(pixels, levels=8, frequent=150).convert("RGB")).astype(int)[-1, : len(wanted)]
+    assert np.abs(result - wanted).max() <= 2
     assert len(COLORS) * 8 + 1 + 150 <= 256
 
 
@@ -95,5 +95,5 @@ def test_every_policy_of_an_animation_has_its_colour(monkeypatch):
 
     monkeypatch.setattr(animation, "quantize", recorded)
     animation._gif(iter([pixels]), 10)
-    kept = np.asarray(quantize(pixels, 6, **colors[0]).convert("RGB")).astype(int)[-1, : len(wanted)]
-    assert np.abs(kept - wanted).max() <= 2
+    result = np.asarray(quantize(pixels, 6, **colors[0]).convert("RGB")).astype(int)[-1, : len(wanted)]
+    assert np.abs(result - wanted).max() <= 2

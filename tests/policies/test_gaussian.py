@@ -45,6 +45,6 @@ def test_samples_have_the_mean_and_the_spread():
 
 
 def test_one_configuration_needs_no_batch_axis():
-    one = Gaussian(jnp.zeros((3, 2)), jnp.zeros(()), joint=False)
+    distribution = Gaussian(jnp.zeros((3, 2)), jnp.zeros(()), joint=False)
     expected = stats.norm.logpdf(ACTION[..., 0]).sum(axis=1)
-    np.testing.assert_allclose(one.log_prob(jnp.asarray(ACTION[..., 0], jnp.float32)), expected, rtol=1e-5)
+    np.testing.assert_allclose(distribution.log_prob(jnp.asarray(ACTION[..., 0], jnp.float32)), expected, rtol=1e-5)

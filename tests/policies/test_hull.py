@@ -170,9 +170,9 @@ def test_gaps_turn_with_the_swarm_and_do_not_depend_on_numbers():
     for positions in (line, grid):
         expected = seen_gaps(positions)
         order = np.random.default_rng(0).permutation(len(positions))
-        found = seen_gaps((positions @ turned.T)[order])
-        np.testing.assert_allclose(found[:, :2], (expected[:, :2] @ turned.T)[order], atol=1e-5)
-        np.testing.assert_allclose(found[:, 2], expected[order, 2], atol=1e-5)
+        result = seen_gaps((positions @ turned.T)[order])
+        np.testing.assert_allclose(result[:, :2], (expected[:, :2] @ turned.T)[order], atol=1e-5)
+        np.testing.assert_allclose(result[:, 2], expected[order, 2], atol=1e-5)
 
 
 def test_gradients_by_the_gap_are_finite_where_robots_are_in_line():

@@ -93,8 +93,8 @@ def test_moving_the_swarm_changes_nothing_without_a_landmark():
     plain = velocities(policy, configuration(), use="visible")
     np.testing.assert_allclose(velocities(policy, configuration() + 7.0, use="visible"), plain, atol=2e-5)
     aware, _ = networks(landmark=True)
-    here, there = (velocities(aware, configuration() + shift) for shift in (0.0, 7.0))
-    assert np.abs(here - there).max() > 0.01
+    centered, shifted = (velocities(aware, configuration() + shift) for shift in (0.0, 7.0))
+    assert np.abs(centered - shifted).max() > 0.01
 
 
 def test_robots_have_no_number():
@@ -107,13 +107,13 @@ def test_robots_have_no_number():
 def test_what_is_hidden_does_not_move_a_robot():
     """Robot 2 stands behind robot 1: wherever it is there, 0 does the same, unless it sees through 1."""
     policy, _ = networks()
-    here = configuration().at[:3].set(jnp.asarray([[0.0, -20.0], [0.0, -15.0], [0.0, -8.0]]))
-    there = here.at[2].set(jnp.asarray([0.3, -6.5]))
-    _, observation = observed(here, use="visible")
+    positions = configuration().at[:3].set(jnp.asarray([[0.0, -20.0], [0.0, -15.0], [0.0, -8.0]]))
+    displaced = positions.at[2].set(jnp.asarray([0.3, -6.5]))
+    _, observation = observed(positions, use="visible")
     assert not bool(observation.view.seen[0, 2])
-    first, second = (velocities(policy, p, use="visible")[0] for p in (here, there))
+    first, second = (velocities(policy, p, use="visible")[0] for p in (positions, displaced))
     np.testing.assert_array_equal(first, second)
-    first, second = (velocities(policy, p, use="scan")[0] for p in (here, there))
+    first, second = (velocities(policy, p, use="scan")[0] for p in (positions, displaced))
     assert np.abs(first - second).max() > 1e-4
 
 
@@ -130,9 +130,9 @@ def test_a_robot_knows_no_size_of_the_world():
     policy, _ = networks()
     wide = WorldConfig(robots=6, half_width=500.0, half_height=70.0, collision_penalty=9.0)
     build = eqx.filter_jit(LocalPolicy(hidden=(16, 8), gaps=True).networks)
-    there = louder(build(wide, True, jax.random.key(0))[0])
+    wide_policy = louder(build(wide, True, jax.random.key(0))[0])
     plain = velocities(policy, configuration(), use="visible")
-    np.testing.assert_array_equal(velocities(there, configuration(), use="visible"), plain)
+    np.testing.assert_array_equal(velocities(wide_policy, configuration(), use="visible"), plain)
 
 
 @pytest.mark.parametrize("far", [0.0, 0.3, 40.0])

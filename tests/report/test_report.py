@@ -117,10 +117,10 @@ def test_a_full_report_does_not(written):
 def test_the_numbers_are_those_of_the_runs(report, results):
     numbers = json.loads((report / "report.json").read_text())
     assert (numbers["format"], numbers["command"]) == (1, "murmurate reproduce --quick")
-    ours = measure(results[0])
+    measurement = measure(results[0])
     row = numbers["experiments"]["E"]
     assert (row["paper"]["total_steps"], row["paper"]["summed_steps"]) == (1168.83, 745.27)
-    assert (row["central"]["total_steps"], row["central"]["valid"]) == (ours.total_steps, ours.valid)
+    assert (row["central"]["total_steps"], row["central"]["valid"]) == (measurement.total_steps, measurement.valid)
     assert list(numbers["sizes"]["scattered"]) == ["3", "4", "5"]
     assert numbers["lines"]["scattered"]["steps"]["slope"] == pytest.approx(0, abs=1e-9)
     assert numbers["train_seconds"] == pytest.approx(sum(r.manifest["train_seconds"] for r in results), abs=0.1)

@@ -52,7 +52,7 @@ def test_a_row_adds_up(done):
         low, high = row["interval"]
         assert low - 1e-9 <= row["valid"] / row["episodes"] <= high + 1e-9
         assert len(row["worst"]) == min(comparison.MAX_WORST, row["episodes"] - row["valid"])
-        assert all(np.shape(one["positions"]) == (row["robots"], 2) for one in row["worst"])
+        assert all(np.shape(case["positions"]) == (row["robots"], 2) for case in row["worst"])
         if row["valid"]:
             assert row["steps"] == row["epochs"]
             assert (row["efficiency"] > 0) == (row["method"] != "learned"), "it hardly learned, and stands still"
@@ -116,14 +116,14 @@ def test_a_baseline_of_ones_own_is_compared_here_and_in_a_process(setting, runs,
     monkeypatch.syspath_prepend(tmp_path)
     wanted = conditions(["still:StandStill"], ["visible"], ["fsync"], [3], known=NAMES)
     setting = replace(setting, episodes=4)
-    here = compare(setting, wanted, runs, tmp_path / "here")
+    local_rows = compare(setting, wanted, runs, tmp_path / "here")
     assert capsys.readouterr() == ("", "")
-    there = compare(setting, wanted, runs, tmp_path / "there", LocalProcesses(1), quiet=False)
-    assert here == there
-    line = f"1 of 1: still:StandStill, visible, fsync, random, N = 3: {here[0]['valid'] / 4:.1%} valid\n"
+    worker_rows = compare(setting, wanted, runs, tmp_path / "there", LocalProcesses(1), quiet=False)
+    assert local_rows == worker_rows
+    line = f"1 of 1: still:StandStill, visible, fsync, random, N = 3: {local_rows[0]['valid'] / 4:.1%} valid\n"
     assert capsys.readouterr().out == line
-    assert [(row["method"], row["collisions"], row["left"]) for row in here] == [("still:StandStill", 0, 0)]
-    assert comparison.sorted_rows(tmp_path / "there") == there
+    assert [(row["method"], row["collisions"], row["left"]) for row in local_rows] == [("still:StandStill", 0, 0)]
+    assert comparison.sorted_rows(tmp_path / "there") == worker_rows
     assert [path.name for path in (tmp_path / "there").iterdir()] == [comparison.COMPARISON]
 
 

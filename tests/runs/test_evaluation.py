@@ -25,7 +25,7 @@ def made_up(switch, lengths, valid, bound=(10.0, 30.0)):
     lengths, valid = np.array(lengths, np.int32), np.array(valid)
     steps = lengths.max() + 1
     alphabetical = enumerate(sorted(NAMES), 1)
-    signals = {name: np.full((2, steps), 0.1 * place, np.float32) for place, name in alphabetical}
+    signals = {name: np.full((2, steps), 0.1 * rank, np.float32) for rank, name in alphabetical}
     still = np.zeros((2, steps, 3, 2), np.float32)
     trajectories = Trajectories(
         still, lengths, np.array(switch, np.int32).reshape(2, -1), valid, ~valid, signals, lengths

@@ -99,9 +99,9 @@ def test_no_such_starts(starts, message):
 
 def test_an_evaluation_says_where_it_began(tiny_run, tmp_path):
     run = murmurate.load(tiny_run())
-    for starts, said in [("cluster", "cluster starts"), ("scattered", "scattered starts")]:
+    for starts, description in [("cluster", "cluster starts"), ("scattered", "scattered starts")]:
         evaluation = evaluate(run, 4, starts=starts)
-        assert describe_starts({"starts": evaluation.starts}) == said
+        assert describe_starts({"starts": evaluation.starts}) == description
         assert len(evaluation.trajectories.lengths) == 4
     first = run.rollout(starts="cluster").positions[:, 0]
     np.testing.assert_array_equal(first, draw_set("cluster", run.experiment.world, 100))
@@ -131,9 +131,9 @@ def test_the_verb_writes_a_set_that_reads_back_alike(tmp_path, monkeypatch, caps
     np.testing.assert_array_equal(
         read_starts("corner-5.csv", 5).astype(np.float32), start_set("corner", robots=5, count=70)
     )
-    said = capsys.readouterr().out
-    assert "murmurate-1/corner/N5: 70 starts in |x|, |y| <= 32.5, robots of radius 1\n" in said
-    assert "starts: corner-5.csv\n" in said
+    output = capsys.readouterr().out
+    assert "murmurate-1/corner/N5: 70 starts in |x|, |y| <= 32.5, robots of radius 1\n" in output
+    assert "starts: corner-5.csv\n" in output
 
 
 def test_the_verb_lists_the_sets(capsys):

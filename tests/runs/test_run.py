@@ -55,9 +55,9 @@ def test_fresh_starts_come_from_the_key(run):
 
 def test_one_configuration_is_one_episode(run):
     start = [[-5.0, 0.0], [5.0, 0.0], [0.0, 5.0]]
-    ran = run.rollout(start)
-    assert ran.positions.shape[0] == 1
-    assert ran.positions[0, 0].tolist() == start
+    trajectories = run.rollout(start)
+    assert trajectories.positions.shape[0] == 1
+    assert trajectories.positions[0, 0].tolist() == start
 
 
 @pytest.mark.parametrize(

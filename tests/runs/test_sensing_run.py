@@ -54,14 +54,14 @@ def test_runs_without_a_word_on_sensing_perceive_everything(tmp_path):
 
 def test_a_run_has_a_scheduler_of_its_own_and_counts_epochs(tmp_path):
     scheduler = {"use": "async", "max_delay": 1, "max_move_steps": 2, "rigid": False}
-    made = train.discover(tiny(scheduler=scheduler, discovery=ONE_POLICY), tmp_path / "run")
-    again = Run.open(made.folder)
-    assert again.experiment.scheduler == made.experiment.scheduler
-    assert again.cascade.rest.window == made.experiment.rest.window * 4
+    original = train.discover(tiny(scheduler=scheduler, discovery=ONE_POLICY), tmp_path / "run")
+    again = Run.open(original.folder)
+    assert again.experiment.scheduler == original.experiment.scheduler
+    assert again.cascade.rest.window == original.experiment.rest.window * 4
     trajectories = again.rollout(16)
     assert (trajectories.epochs > 0).all()
     assert (trajectories.epochs < trajectories.lengths).all()
-    assert RunFolder(made.folder).evaluation()["epochs"] > 0
+    assert RunFolder(original.folder).evaluation()["epochs"] > 0
 
 
 def test_without_a_scheduler_an_epoch_is_a_step(run):

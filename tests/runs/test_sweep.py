@@ -88,9 +88,9 @@ def begun(out):
     return [path.parent.name for path in out.glob("*/metrics.jsonl") if not (path.parent / "manifest.json").exists()]
 
 
-def same(one, other):
+def same(path, other):
     return all(
-        (one / name).read_bytes() == (other / name).read_bytes()
+        (path / name).read_bytes() == (other / name).read_bytes()
         for name in ("experiment.toml", "policies/0-base.safetensors")
     )
 

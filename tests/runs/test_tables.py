@@ -30,7 +30,7 @@ SUMMARY = {
 def test_a_run_stands_beside_the_paper():
     header, rows = table.comparison(SUMMARY, EXPERIMENTS["E"])
     assert header == ("200 fresh starts", "paper", "this run")
-    text = {name: (paper, ours) for name, paper, ours in rows}
+    text = {name: (paper, measured) for name, paper, measured in rows}
     assert text["base steps"] == ("521.71", "60.00")
     assert text["auxiliary steps"] == ("223.56", "30.50")
     assert text["total steps"] == ("1168.83 printed, 745.27 summed", "90.50")

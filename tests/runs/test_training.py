@@ -266,8 +266,8 @@ def test_a_run_is_refined_by_gradients(finished, tmp_path):
     numbers["weights"] = {"smooth_safety": 0.0, "smooth_visible": 0.0, "exposed": 0.0}
     numbers |= {"policy_rate_end": 0.01}
     stage = {"learner": "gradients", "gradients": numbers}
-    one = {"min_policies": 1, "max_policies": 1}
-    config = tiny(seed=1, base=stage, discovery=one)
+    single_policy = {"min_policies": 1, "max_policies": 1}
+    config = tiny(seed=1, base=stage, discovery=single_policy)
     run = train.discover(config, tmp_path / "unbroken", initial=initial)
     rows = RunFolder(run.folder).metrics()
     assert [row["update"] for row in rows] == [1, 2, 3, 4]
@@ -280,7 +280,7 @@ def test_a_run_is_refined_by_gradients(finished, tmp_path):
     resumed = train.discover(config, tmp_path / "run", resume=True, initial=initial)
     assert weights(resumed) == weights(run)
     still = {"policy_rate": 0.0, "policy_rate_end": 0.0}
-    frozen = tiny(seed=1, base=stage | {"gradients": numbers | still}, discovery=one)
+    frozen = tiny(seed=1, base=stage | {"gradients": numbers | still}, discovery=single_policy)
     assert weights(train.discover(frozen, tmp_path / "frozen", initial=initial)) == weights(initial)
 
 

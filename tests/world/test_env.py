@@ -190,8 +190,8 @@ def test_an_end_is_terminated_or_truncated_never_both(world):
         state = eqx.tree_at(lambda s: s.step, begin(world, positions), jnp.asarray(HORIZON - 1))
         return step(world, state, jnp.asarray(velocities, jnp.float32))[1]
 
-    kept = last_step(SQUARE, still())
-    assert (bool(kept.terminated), bool(kept.truncated)) == (False, True)
+    timeout = last_step(SQUARE, still())
+    assert (bool(timeout.terminated), bool(timeout.truncated)) == (False, True)
     hit = last_step([[0.0, 0.0], [2.1, 0.0], [9.0, 9.0], [-9.0, -9.0]], still(r0=(1.0, 0.0)))
     assert (bool(hit.terminated), bool(hit.truncated)) == (True, False)
 
@@ -278,14 +278,14 @@ def test_the_cost_of_motion_has_a_gradient_also_where_nobody_moves(world):
 
 def test_what_is_known_of_robots_at_rest(world):
     """Whether they go on to see the same, and within how many steps each of them looks."""
-    own = type("Own", (GlobalSensing,), {})
+    subclass = type("Own", (GlobalSensing,), {})
     for sensing, keeps in [
         (GlobalSensing(rotation=True, unit_ratio=2.0), True),
         (GlobalSensing(range_noise=0.1), False),
         (GlobalSensing(bearing_noise=0.1), False),
         (GlobalSensing(miss_probability=0.1), False),
         (GlobalSensing(rotation=True, resample_frames=True), False),
-        (own(), False),
+        (subclass(), False),
     ]:
         env = DeadZone(LocalObservation(SchedulerWrapper(world, AsyncScheduler()), sensing, CONFIG), 0.1)
         assert (env.keeps_rest, env.period) == (keeps, AsyncScheduler().period), sensing
@@ -304,13 +304,13 @@ def test_a_batch_is_its_members_one_by_one(world, seed):
     approach = contact.closest_approach(np.moveaxis(positions, -1, 0), np.moveaxis(clipped, -1, 0))
     approach = approach[:, ~np.eye(4, dtype=bool)].min(axis=1)
     for member in range(8):
-        one, its = move(world, positions[..., member], velocities[..., member])
-        np.testing.assert_array_equal(one.positions, after.positions[..., member])
-        np.testing.assert_allclose(one.objective, after.objective[member], rtol=1e-5)
+        single, its = move(world, positions[..., member], velocities[..., member])
+        np.testing.assert_array_equal(single.positions, after.positions[..., member])
+        np.testing.assert_allclose(single.objective, after.objective[member], rtol=1e-5)
         np.testing.assert_allclose(its.reward, transition.reward[member], atol=2e-5)
         assert its.terminated == transition.terminated[member]
         if abs(approach[member] - 2 * CONFIG.radius) > 1e-4:
-            outside = contact.leaves(np.asarray(one.positions), CONFIG.half_width, CONFIG.half_height)
+            outside = contact.leaves(np.asarray(single.positions), CONFIG.half_width, CONFIG.half_height)
             assert its.terminated == ((approach[member] <= 2 * CONFIG.radius) | outside)
 
 
@@ -319,10 +319,10 @@ def test_vmap_of_a_step_is_the_batch(world):
     positions = jnp.asarray(rng.uniform(-14.0, 14.0, (5, 4, 2)), jnp.float32)
     velocities = jnp.asarray(rng.uniform(-1.0, 1.0, (5, 4, 2)), jnp.float32)
 
-    def one(positions, velocities):
+    def single_step(positions, velocities):
         return world.step(world.state(positions), velocities)
 
-    after, transition = jax.jit(jax.vmap(one))(positions, velocities)
+    after, transition = jax.jit(jax.vmap(single_step))(positions, velocities)
     batched, its = step(world, state_of(world, jnp.moveaxis(positions, 0, -1)), jnp.moveaxis(velocities, 0, -1))
     np.testing.assert_array_equal(after.positions, np.moveaxis(batched.positions, -1, 0))
     np.testing.assert_array_equal(transition.terminated, its.terminated)

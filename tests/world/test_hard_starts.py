@@ -176,8 +176,8 @@ def test_hard_starts_are_all_of_them():
         "corner": (distance.min(axis=1) <= 2 * world.radius + 1e-3).all(axis=1) & (span(points) < 30),
         "symmetric": np.abs(points.mean(axis=1)).max(axis=1) < 1e-3,
     }
-    for name, found in shares.items():
-        np.testing.assert_allclose(found.mean(), 1 / 7, atol=0.06, err_msg=name)
+    for name, matches in shares.items():
+        np.testing.assert_allclose(matches.mean(), 1 / 7, atol=0.06, err_msg=name)
 
 
 @pytest.mark.parametrize("family", [*FAMILIES, "hard"])

@@ -143,10 +143,10 @@ def test_each_in_its_own_time_moves_by_what_it_saw_some_steps_ago(seed, max_dela
     steps = np.arange(STEPS)
     for robot in range(ROBOTS):
         for episode in range(BATCH):
-            own = looked[:, robot, episode]
-            cycles = sorted(set(own[own >= 0]))
+            look_steps = looked[:, robot, episode]
+            cycles = sorted(set(look_steps[look_steps >= 0]))
             for cycle, following in zip(cycles, [*cycles[1:], None], strict=True):
-                at = steps[own == cycle]
+                at = steps[look_steps == cycle]
                 assert (np.diff(at) == 1).all(), "a move is in one piece"
                 assert len(at) <= max_move_steps
                 assert 0 <= at[0] - cycle <= max_delay
@@ -191,15 +191,15 @@ def test_an_adversary_does_worse_than_chance_and_is_as_fair():
             world(config), scheduler_of(use="ssync", adversarial=adversarial, fairness_bound=6, rigid=False)
         )
 
-        def one(state, _, env=env):
+        def advance(state, _, env=env):
             towards = -state.positions / jnp.linalg.norm(state.positions, axis=1, keepdims=True)
             after, transition = env.step(state, 0.5 * towards)
             active = jnp.any(after.positions != state.positions, axis=1)
             return after, (transition.reward, active)
 
         @jax.jit
-        def run(env=env, one=one):
-            return jax.lax.scan(one, env.reset_batch(jax.random.key(0), 64), None, length=20)[1]
+        def run(env=env, advance=advance):
+            return jax.lax.scan(advance, env.reset_batch(jax.random.key(0), 64), None, length=20)[1]
 
         reward, active = run()
         active = np.asarray(active)

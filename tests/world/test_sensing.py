@@ -83,8 +83,8 @@ def test_a_frame_changes_coordinates_only(seed, rotation, reflection, unit):
     np.testing.assert_allclose(apart, expected, rtol=1e-4, atol=1e-4)
     np.testing.assert_allclose(view.radius * sizes, np.full_like(sizes, R), rtol=1e-5)
     # What a robot perceives to lie ahead, it moves towards.
-    own = jnp.stack([view.x[:, 0], view.y[:, 0]], axis=1) * frames.unit[:, None]
-    np.testing.assert_allclose(frames.to_world(own), positions[:1] - positions, rtol=1e-4, atol=1e-3)
+    offsets = jnp.stack([view.x[:, 0], view.y[:, 0]], axis=1) * frames.unit[:, None]
+    np.testing.assert_allclose(frames.to_world(offsets), positions[:1] - positions, rtol=1e-4, atol=1e-3)
 
 
 @settings(max_examples=20, deadline=None)
@@ -95,8 +95,8 @@ def test_walls_are_perceived_where_they_are(seed, rotation, reflection, unit):
     x, y = np.asarray(positions[:, 0], float), np.asarray(positions[:, 1], float)
     feet = [(np.full_like(x, X), y), (x, np.full_like(y, Y)), (np.full_like(x, -X), y), (x, np.full_like(y, -Y))]
     for wall, foot in enumerate(feet):
-        there = positions + frames.to_world(view.walls[:, wall] * frames.unit[:, None])
-        np.testing.assert_allclose(there, np.stack(foot, axis=1), atol=1e-4)
+        perceived = positions + frames.to_world(view.walls[:, wall] * frames.unit[:, None])
+        np.testing.assert_allclose(perceived, np.stack(foot, axis=1), atol=1e-4)
     assert look(positions, seed)[1].walls is None
 
 
@@ -166,8 +166,8 @@ def test_frames_last_an_episode_or_a_step_and_noise_is_always_new():
 def test_one_configuration_and_a_batch_are_perceived_alike():
     _, eyes = seen_world(use="visible", rotation=True)
     positions = configurations(batch=1)
-    one, many = eyes.state(positions[..., 0]), eyes.state(positions)
-    alone, batched = eyes.observe(one).view, eyes.observe(many).view
+    single, many = eyes.state(positions[..., 0]), eyes.state(positions)
+    alone, batched = eyes.observe(single).view, eyes.observe(many).view
     assert alone.x.shape == (6, 6)
     np.testing.assert_array_equal(alone.seen, batched.seen[..., 0])
     np.testing.assert_allclose(np.hypot(alone.x, alone.y), np.hypot(batched.x, batched.y)[..., 0], rtol=1e-5)

@@ -82,11 +82,11 @@ def test_robots_have_no_number(name):
 def test_what_is_hidden_does_not_move_a_robot(name):
     """Robot 2 stands behind robot 1: wherever it is there, 0 does the same."""
     policy = make(name)
-    here = configuration().at[:3].set(jnp.asarray([[0.0, -20.0], [0.0, -15.0], [0.0, -8.0]]))
-    there = here.at[2].set(jnp.asarray([0.3, -6.5]))
-    _, observation = observed(here, use="visible")
+    positions = configuration().at[:3].set(jnp.asarray([[0.0, -20.0], [0.0, -15.0], [0.0, -8.0]]))
+    displaced = positions.at[2].set(jnp.asarray([0.3, -6.5]))
+    _, observation = observed(positions, use="visible")
     assert not bool(observation.view.seen[0, 2])
-    first, second = (velocities(policy, p, use="visible")[0] for p in (here, there))
+    first, second = (velocities(policy, p, use="visible")[0] for p in (positions, displaced))
     np.testing.assert_array_equal(first, second)
 
 
@@ -96,12 +96,12 @@ def test_who_perceives_a_wall_does_not_cross_it(name):
     policy = make(name)
     crowds = jnp.stack([0.3 * configuration(seed) for seed in range(20)], axis=-1)
     crowds = crowds + 45.0 - crowds.max(axis=0)
-    over, kept = (
+    without_walls, with_walls = (
         velocities(policy, crowds, use="global", rotation=True, reflection=True, walls=walls) + np.asarray(crowds)
         for walls in (False, True)
     )
-    assert over.max() > 45.0 or name == "centroid"
-    assert kept.max() <= 45.0
+    assert without_walls.max() > 45.0 or name == "centroid"
+    assert with_walls.max() <= 45.0
 
 
 @pytest.mark.parametrize("name", Baseline.registered())
