@@ -334,6 +334,9 @@ def test_the_dice_of_an_episode_depend_on_its_index_alone():
         {"switch_tolerance": float("inf")},
         {"dead_zone": -0.1},
         {"dead_zone": 1.0},
+        {"sidestep": 1.5},
+        {"sidestep": 0.05},
+        {"sidestep": 0.5, "dead_zone": 0.0},
         {"max_steps": 0},
     ],
 )

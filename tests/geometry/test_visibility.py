@@ -211,3 +211,25 @@ def test_world_of_any_size(array, exponent):
     np.testing.assert_array_equal(scaled, readings(array(positions)))
     huge = readings(positions * 1e100, 1e100, SCAN * 1e100)
     np.testing.assert_array_equal(huge, readings(positions))
+
+
+@given(configurations(min_robots=1, max_robots=5))
+def test_an_observer_knows_whom_it_occludes_from_each_other(positions):
+    """By the oracle: for whoever it sees, who would be occluded if there were no others than these three."""
+    robots = len(positions)
+    rng = np.random.default_rng(robots)
+    seen = rng.random((robots, robots)) < 0.8
+    angle, unit = rng.uniform(0, 2 * np.pi, robots), rng.uniform(0.5, 2, robots)
+    offsets = (positions[None] - positions[:, None]) @ np.array([[1, 0], [0, -1]])
+    cos, sin = unit * np.cos(angle), unit * np.sin(angle)
+    x = cos[:, None] * offsets[..., 0] - sin[:, None] * offsets[..., 1]
+    y = sin[:, None] * offsets[..., 0] + cos[:, None] * offsets[..., 1]
+    between = _batch_last.stands_between(x, y, seen & ~np.eye(robots, dtype=bool), RADIUS * unit)
+    for k in range(robots):
+        others = [i for i in range(robots) if i != k and seen[k, i]]
+        clearances = [
+            oracle.shadow_clearance(positions[[j, i, k]], RADIUS)[0, 1] for j in others for i in others if i != j
+        ]
+        least = min(clearances, default=np.inf)
+        if abs(least) > oracle.FLOAT64_TANGENCY:
+            assert between[k] == (least < 0)

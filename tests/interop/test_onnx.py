@@ -18,7 +18,7 @@ from murmurate.errors import InputError
 from murmurate.geometry import visible
 from murmurate.runs import presets
 from murmurate.runs.run import Run
-from murmurate.world import without_slow
+from murmurate.world import apply_dead_zone
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")  # of what the converter imports
@@ -74,7 +74,7 @@ LEAST_SPEED = REST["dead_zone"]  # the speed limit is 1
 
 @eqx.filter_jit
 def act(policy, positions):
-    return without_slow(policy(positions), LEAST_SPEED)
+    return apply_dead_zone(policy(positions), positions, LEAST_SPEED)
 
 
 @pytest.mark.parametrize("robots", [1, 2, 3, ROBOTS, 11])
@@ -132,14 +132,18 @@ def test_a_central_cascade_has_a_dynamic_batch_and_its_own_number_of_robots():
 
 
 @eqx.filter_jit
-def velocities_in_world(env, policy, positions):
+def velocities_in_world(env, policy, positions, dead_zone):
     state = env.state(positions, 0)
-    return state.frames, without_slow(policy(env.observe(state)), LEAST_SPEED)
+    observation = env.observe(state)
+    return state.frames, apply_dead_zone(policy(observation), observation, *dead_zone)
 
 
 @functools.cache
 def local(objective, walls):
     run = untrained("local", policies=1, objective=objective, factor=10, walls=walls)
+    if walls:
+        rest = replace(run.experiment.rest, dead_zone=0.3, sidestep=0.5)
+        run = run.under(replace(run.experiment, rest=rest))
     return run, onnx.export(run)
 
 
@@ -149,8 +153,11 @@ def test_a_robot_with_its_own_eyes_moves_by_its_model_as_in_the_world(objective,
     assert model.difference(run, CHECKED) < onnx.TOLERANCE
     starts = run.starts(40, 1)
     env = run.cascade.env
-    frames, expected = velocities_in_world(env, run.cascade.policies[0], np.moveaxis(starts, 0, -1))
+    dead_zone = (run.experiment.least_speed, run.experiment.sidestep)
+    frames, expected = velocities_in_world(env, run.cascade.policies[0], np.moveaxis(starts, 0, -1), dead_zone)
     expected = np.moveaxis(expected, -1, 0)
+    aside = np.linalg.norm(expected, axis=-1) == 0.5
+    assert aside.any() == walls
     seen = visible(starts.astype(float), 1.0, 100.0)
     assert not seen[:, ~np.eye(ROBOTS, dtype=bool)].all()
     cos, sin = (np.asarray(a).T for a in (frames.cos, frames.sin))

@@ -23,10 +23,11 @@ from murmurate.world import (
     SchedulerWrapper,
     Transition,
     World,
+    VisibleSensing,
     WorldConfig,
     Wrapper,
+    apply_dead_zone,
     with_array_leaves,
-    without_slow,
 )
 from oracles import contact
 from oracles import signals as oracle
@@ -243,9 +244,28 @@ def test_a_robot_stands_still_by_its_own_wish_alone(world):
 
 def test_a_dead_zone_of_nothing_stops_nobody():
     wishes = np.random.default_rng(0).normal(size=(4, 2, 3)).astype(np.float32)
-    np.testing.assert_array_equal(without_slow(wishes, 0.0), wishes)
+    np.testing.assert_array_equal(apply_dead_zone(wishes, None, 0.0), wishes)
     slow = np.linalg.norm(wishes, axis=1, keepdims=True) < 0.8
-    np.testing.assert_array_equal(without_slow(wishes, 0.8), np.where(slow, 0, wishes))
+    np.testing.assert_array_equal(apply_dead_zone(wishes, None, 0.8), np.where(slow, 0, wishes))
+
+
+def test_a_robot_between_two_that_it_sees_steps_aside_instead_of_standing_still(world):
+    """In line, the second and the third robot see both of their neighbours, which are hidden from each other."""
+    sensing = VisibleSensing(rotation=True)
+    line = np.array([[-9.0, 3.0], [-3.0, 3.0], [3.0, 3.0], [9.0, 3.0]])
+    env = DeadZone(LocalObservation(world, sensing, CONFIG), jnp.asarray(0.3), 0.5)
+    state = env.state(jnp.asarray(line, jnp.float32), 7)
+    first_axes = np.stack([state.frames.cos, state.frames.sin], axis=1)
+    assert len(np.unique(first_axes, axis=0)) == 4
+    for wishes, moving in ((np.zeros((4, 2)), [1, 2]), (np.array([[0, 0], [0, 0], [0.4, 0], [0, 0]]), [1])):
+        after, _ = wrapped_step(env, state, jnp.asarray(wishes, jnp.float32))
+        expected = np.zeros((4, 2))
+        expected[moving] = 0.5 * first_axes[moving]
+        expected[2] = expected[2] if 2 in moving else 0.4 * first_axes[2]
+        np.testing.assert_allclose(after.positions, line + expected, atol=1e-6)
+    # Where everybody sees everybody, nobody has to move.
+    after, _ = wrapped_step(env, env.state(jnp.asarray(SQUARE, jnp.float32), 7), jnp.zeros((4, 2)))
+    np.testing.assert_array_equal(after.positions, np.float32(SQUARE))
 
 
 @pytest.mark.parametrize("per_robot", [False, True])

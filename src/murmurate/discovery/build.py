@@ -69,7 +69,7 @@ def build_environment(problem: Problem, world: World, perceived: WorldConfig | N
     if not problem.shield.is_trivial:
         env = ShieldWrapper(env, with_array_leaves(problem.prepared_shield), perceived)
     if problem.rest.dead_zone:
-        env = DeadZone(env, jnp.asarray(problem.least_speed, jnp.float32))
+        env = DeadZone(env, jnp.asarray(problem.least_speed, jnp.float32), problem.sidestep)
     return env
 
 

@@ -53,6 +53,8 @@ class RestRule:
             with the signals' own weights: it need not settle what the next one moves again.
         dead_zone: A robot that wants to move slower than this share of the speed limit stands still, in training as in
             execution.
+        sidestep: Share of the speed limit at which a robot that would stand still between two others that it sees,
+            occluding one from the other, moves along the first axis of its own frame instead; 0: it stands still.
         max_steps: Steps after which a policy that does not come to rest is cut off.
     """
 
@@ -60,6 +62,7 @@ class RestRule:
     stillness: float = 1e-3
     switch_tolerance: float = 1.5e-3
     dead_zone: float = 0.1
+    sidestep: float = 0.0
     max_steps: int = 300
 
     def __post_init__(self) -> None:
@@ -71,6 +74,10 @@ class RestRule:
         if not 0 <= self.dead_zone < 1:
             allowed = "a number >= 0 and less than 1: at 1 no robot would ever move along an axis"
             raise InputError("dead_zone", self.dead_zone, allowed)
+        check_number("sidestep", self.sidestep, 0, 1)
+        if self.sidestep and not 0 < self.dead_zone <= self.sidestep:
+            allowed = f"0, or at least dead_zone ({self.dead_zone:g}), which must not be 0: no robot would stand still"
+            raise InputError("sidestep", self.sidestep, allowed)
 
 
 class _Status(eqx.Module):

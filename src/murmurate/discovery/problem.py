@@ -276,6 +276,11 @@ class Problem:
         return self.rest.dead_zone * self.world.max_speed
 
     @property
+    def sidestep(self) -> float:
+        """Speed of a robot that would stand still between others, world units per step; 0: it stands still."""
+        return self.rest.sidestep * self.world.max_speed
+
+    @property
     def rest_in_steps(self) -> RestRule:
         """When a policy has come to rest under the scheduler.
 

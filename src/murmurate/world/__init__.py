@@ -14,7 +14,7 @@ from murmurate.world.env import (
     State,
     World,
     Wrapper,
-    without_slow,
+    apply_dead_zone,
 )
 from murmurate.world.hard_starts import ClusterStart, CornerStart, HardStart, TightGridStart, WallsStart, WallStart
 from murmurate.world.scheduling import (
@@ -99,6 +99,7 @@ __all__ = [
     "World",
     "WorldConfig",
     "Wrapper",
+    "apply_dead_zone",
     "check_configurations",
     "check_pairs",
     "check_start",
@@ -113,5 +114,4 @@ __all__ = [
     "scaled_to",
     "start_set",
     "with_array_leaves",
-    "without_slow",
 ]

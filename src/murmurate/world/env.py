@@ -39,7 +39,7 @@ __all__ = [
     "World",
     "WrappedState",
     "Wrapper",
-    "without_slow",
+    "apply_dead_zone",
 ]
 
 
@@ -334,24 +334,46 @@ class ShortfallReward(Wrapper):
 
 
 class DeadZone(Wrapper):
-    """Robots whose policy wants a slow move stand still: that is how a swarm comes to rest.
+    """Robots whose policy wants a slow move stand still, or step aside: see `apply_dead_zone`.
 
     Attributes:
         least_speed: Moves that are slower than this are not begun, world units per step.
+        sidestep: Speed of a robot that would stand still between others, world units per step.
     """
 
     least_speed: Any
+    sidestep: float = eqx.field(default=0.0, static=True)
 
     def step(self, state: Any, action: Float[Array, "robots 2 *batch"]) -> tuple[Any, Any]:
         """Stops the slow robots and advances every episode by one step."""
-        return self.env.step(state, without_slow(action, self.least_speed))
+        observation = self.env.observe(state) if self.sidestep else None
+        return self.env.step(state, apply_dead_zone(action, observation, self.least_speed, self.sidestep))
 
 
-def without_slow(velocities: Float[Array, "robots 2 *batch"], least_speed: Any) -> Float[Array, "robots 2 *batch"]:
-    """Returns velocities of which those whose length is less than `least_speed` are exactly 0."""
+def apply_dead_zone(
+    velocities: Float[Array, "robots 2 *batch"], observation: Any, least_speed: Any, sidestep: float = 0.0
+) -> Float[Array, "robots 2 *batch"]:
+    """Returns velocities of which those whose length is less than `least_speed` are exactly 0.
+
+    That is how a swarm comes to rest. With `sidestep`, a robot that occludes one robot that it sees from another one
+    does not stand still: it moves along the first axis of its own frame. Where a configuration is symmetric, so is what
+    any policy makes of it, and the robot in its centre could never leave: robots' frames break the symmetry.
+
+    Args:
+        velocities: What a policy wants, world units per step, in each robot's own frame.
+        observation: What the robots see; only used with `sidestep`.
+        least_speed: Speed below which a move is not begun, world units per step.
+        sidestep: Speed of a robot that steps aside, world units per step; 0 where robots never do.
+    """
     is_slow = jnp.sum(velocities**2, axis=1, keepdims=True) < least_speed**2
-    # Gradients pass as if nothing were stopped: a robot that stands still would never learn to set out.
-    return velocities - jax.lax.stop_gradient(jnp.where(is_slow, velocities, 0.0))
+    decided = jnp.where(is_slow, 0.0, velocities)
+    if sidestep:
+        view = observation.view
+        is_between = _batch_last.stands_between(view.x, view.y, view.seen, view.radius)[:, None]
+        aside = jnp.stack([jnp.full_like(view.radius, sidestep), jnp.zeros_like(view.radius)], axis=1)
+        decided = jnp.where(is_slow & is_between, aside, decided)
+    # Gradients pass as if nothing were changed: a robot that stands still would never learn to set out.
+    return velocities - jax.lax.stop_gradient(velocities - decided)
 
 
 class MotionCost(Wrapper):

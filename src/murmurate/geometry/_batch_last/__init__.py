@@ -26,6 +26,7 @@ from murmurate.geometry._batch_last.visibility import (
     neighbors_and_visible,
     occluded,
     sole_occluder_counts,
+    stands_between,
     visible,
 )
 
@@ -47,6 +48,7 @@ __all__ = [
     "on_hull",
     "outside",
     "sole_occluder_counts",
+    "stands_between",
     "sum_over_third_robots",
     "sum_terms",
     "visible",

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
-from murmurate.geometry._batch_last.loops import fori_loop, scatter
+from murmurate.geometry._batch_last.loops import fori_loop, scatter, sum_terms
 from murmurate.geometry._batch_last.sweep import AngularInterval, overlap, sweep
 
 __all__ = [
@@ -34,6 +34,7 @@ __all__ = [
     "off_diagonal",
     "offsets",
     "sole_occluder_counts",
+    "stands_between",
     "visible",
 ]
 
@@ -122,11 +123,15 @@ def neighbors_and_visible(
 
 def angular_intervals(xp: Any, dx: Any, dy: Any, distance: Any, radius: Scalar) -> AngularInterval:
     """Returns the interval that each robot (column) covers in the view of each observer (row)."""
-    safe = xp.where(distance > 0, distance, 1)
-    sin = xp.where(distance > radius, radius / safe, 1)
     # A robot does not see itself: at an infinite distance it is never the nearer of a pair.
     apparent = xp.where(off_diagonal(xp, distance), distance, xp.inf)
-    return AngularInterval(dx / safe, dy / safe, sin, xp.sqrt((1 - sin) * (1 + sin)), apparent)
+    return _interval(xp, dx, dy, distance, radius)._replace(distance=apparent)
+
+
+def _interval(xp: Any, dx: Any, dy: Any, distance: Any, radius: Any) -> AngularInterval:
+    safe = xp.where(distance > 0, distance, 1)
+    sin = xp.where(distance > radius, radius / safe, 1)
+    return AngularInterval(dx / safe, dy / safe, sin, xp.sqrt((1 - sin) * (1 + sin)), distance)
 
 
 def _occluded(xp: Any, dx: Any, dy: Any, distance: Any, radius: Scalar) -> Any:
@@ -158,6 +163,35 @@ def _occlusion_by(xp: Any, intervals: AngularInterval) -> Callable[[Any], Any]:
         return overlap(xp, intervals, occluder) & other
 
     return occluded_by
+
+
+def stands_between(
+    x: Float[Array, "observers robots *batch"],
+    y: Float[Array, "observers robots *batch"],
+    seen: Bool[Array, "observers robots *batch"],
+    radius: Float[Array, "observers *batch"],
+) -> Bool[Array, "observers *batch"]:
+    """Returns which observers occlude, for a robot that they see, another one that they see.
+
+    That they know from their own view: both positions are in it.
+
+    Args:
+        x: First coordinate of each robot relative to each observer.
+        y: Second coordinate.
+        seen: Which robots are seen.
+        radius: The robots' radius in each observer's unit of length.
+    """
+    xp = x.__array_namespace__()
+
+    def interval(dx: Any, dy: Any) -> AngularInterval:
+        return _interval(xp, dx, dy, xp.sqrt(dx * dx + dy * dy), radius[:, None])
+
+    def occluded_for(j: int) -> tuple[Any]:
+        xj, yj = x[:, j, None], y[:, j, None]
+        occluded = overlap(xp, interval(x - xj, y - yj), interval(-xj, -yj))
+        return (xp.sum(occluded & seen & seen[:, j, None], axis=1, dtype=np.int32),)
+
+    return sum_terms(occluded_for, x.shape[1])[0] > 0
 
 
 def sole_occluder_counts(
