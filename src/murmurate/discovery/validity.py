@@ -16,6 +16,7 @@ from scipy.sparse.csgraph import maximum_bipartite_matching
 from murmurate.errors import InputError, check_number, check_type
 from murmurate.geometry import _batch_last
 from murmurate.geometry._checks import check_vectors
+from murmurate.representation import short_repr
 from murmurate.types import Trajectories
 from murmurate.world import Configuration, Signal, WorldConfig, check_world
 
@@ -52,6 +53,8 @@ class Validity:
     at_rest: Flags
     stationary: Flags
     signals: Mapping[str, Flags] = field(default_factory=dict)
+
+    __repr__ = short_repr
 
     @property
     def formed(self) -> Flags:

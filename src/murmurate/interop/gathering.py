@@ -22,6 +22,7 @@ from murmurate.discovery import DiscoveryConfig, Problem, RestRule, StageConfig,
 from murmurate.errors import MAX_INTEGER, InputError, check_choice, check_number, suggestion
 from murmurate.policies import CentralPolicy, LocalPolicy, Shield
 from murmurate.registry import Importer, Strategy
+from murmurate.representation import short_repr
 from murmurate.runs import config_io
 from murmurate.world import (
     OBJECTIVES,
@@ -90,6 +91,8 @@ class Gathering:
     world: World
     problem: Problem
     action_scale: ActionScale
+
+    __repr__ = short_repr
 
     @property
     def sensing(self) -> Sensing:
@@ -180,6 +183,8 @@ class Options:
     action_scale: Any = "unit"
     scheduler: Any = "fsync"
     shield: Any = "none"
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         check_number("robots", self.robots, 2, integer=True)
@@ -295,6 +300,8 @@ class StepResult(NamedTuple):
     terminated: Bool[np.ndarray, " batch"]
     truncated: Bool[np.ndarray, " batch"]
     credit: Float[np.ndarray, "batch actions"]
+
+    __repr__ = short_repr
 
 
 class Episodes:

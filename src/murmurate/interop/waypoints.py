@@ -19,6 +19,7 @@ from jaxtyping import Float
 
 from murmurate.errors import MAX_MAGNITUDE, InputError, RunError, check_number, check_path
 from murmurate.geometry import any_outside, closest_approach
+from murmurate.representation import short_repr
 from murmurate.runs import files
 from murmurate.runs.experiment import ExperimentConfig
 from murmurate.runs.folder import RunFolder
@@ -50,6 +51,8 @@ class Scale:
     robot_radius: float | None = None
     robot_speed: float | None = None
 
+    __repr__ = short_repr
+
     def __post_init__(self) -> None:
         for flag, value in (("--scale", self.metres), ("--period", self.seconds)):
             check_number(flag, value, 1e-3, MAX_MAGNITUDE)
@@ -77,6 +80,8 @@ class Waypoints:
     times: tuple[Float[np.ndarray, " _"], ...]
     positions: tuple[Float[np.ndarray, "_ robots 2"], ...]
     left_out: tuple[int, ...]
+
+    __repr__ = short_repr
 
     @classmethod
     def from_run(cls, folder: str | Path, scale: Scale, episodes: int | None = None, trust: bool = False) -> Waypoints:

@@ -17,6 +17,7 @@ from jaxtyping import Array, Bool, Float, Int, Key, PRNGKeyArray, UInt32
 
 from murmurate.errors import check_type
 from murmurate.geometry import _batch_last
+from murmurate.representation import short_repr
 from murmurate.types import Observation, Transition, View
 from murmurate.world.config import WorldConfig
 from murmurate.world.randomness import draw_each, episode_keys, key_data, next_keys, wrap_keys
@@ -57,6 +58,8 @@ class State(eqx.Module):
     step: Int[Array, "*batch"]
     objective: Float[Array, "*batch"]
     potential: Float[Array, "actions *batch"]
+
+    __repr__ = short_repr
 
     @property
     def epochs(self) -> Int[Array, "*batch"]:
@@ -199,6 +202,8 @@ class WrappedState(eqx.Module):
 
     inner: Any
 
+    __repr__ = short_repr
+
     @property
     def unwrapped(self) -> State:
         """The state of the world."""
@@ -233,6 +238,8 @@ class Wrapper(eqx.Module):
     """
 
     env: Any
+
+    __repr__ = short_repr
 
     @property
     def unwrapped(self) -> World:

@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from murmurate.errors import check_choice
 from murmurate.geometry import _batch_last
+from murmurate.representation import short_repr
 from murmurate.world import OBJECTIVES, Configuration, Objective, WorldConfig, objective_signals
 
 __all__ = ["Target"]
@@ -31,6 +32,8 @@ class Target:
     world: WorldConfig
     objective: str
     weights: Mapping[str, float] = field(default_factory=dict)
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         check_choice("objective", self.objective, ("C1", "C2"))
