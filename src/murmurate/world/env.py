@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key, PRNGKeyArray, UInt32
 
-from murmurate.errors import check_type
+from murmurate.errors import InputError, check_type
 from murmurate.geometry import _batch_last
 from murmurate.representation import short_repr
 from murmurate.types import Observation, Transition, View
@@ -80,8 +80,9 @@ class State(eqx.Module):
 class World(eqx.Module):
     """A rectangle with N robots: the state is their positions, the action their velocities.
 
-    Methods take one configuration or a batch of them on the LAST axis. Numbers are leaves of the PyTree: changing one
-    does not recompile what was compiled for another.
+    Methods take one configuration or a batch of them on the LAST axis, which is twice as fast in the inner loop of
+    training, and raise an `InputError` for another shape. Numbers are leaves of the PyTree: changing one does not
+    recompile what was compiled for another.
 
     Attributes:
         config: Sizes of the world and its robots.
@@ -140,7 +141,9 @@ class World(eqx.Module):
 
     def signals(self, positions: Float[Array, "robots 2 *batch"]) -> dict[str, Float[Array, "*batch"]]:
         """Returns the signals of configurations by name."""
-        return self.objective.measure(Configuration(positions, self.config))
+        configuration = Configuration(positions, self.config)
+        self._check_robots(configuration.positions)
+        return self.objective.measure(configuration)
 
     def state(self, positions: Float[Array, "robots 2 *batch"], seed: Any = 0) -> State:
         """Returns the state at the beginning of an episode from the given configurations.
@@ -150,6 +153,7 @@ class World(eqx.Module):
             seed: Not used: the world draws nothing. Wrappers may.
         """
         del seed
+        self._check_robots(positions)
         return in_tiles(self._state, positions.shape[0], positions)
 
     def reset_batch(self, key: PRNGKeyArray, batch: int) -> State:
@@ -158,11 +162,18 @@ class World(eqx.Module):
 
     def step(self, state: State, velocities: Float[Array, "robots 2 *batch"]) -> tuple[State, Transition]:
         """Moves every robot for one step; velocities are clipped to the speed limit component by component."""
+        if velocities.shape != state.positions.shape:
+            raise InputError("velocities", f"an array {velocities.shape}", f"of shape {state.positions.shape}")
         return in_tiles(self._step, velocities.shape[0], state, velocities)
 
     def observe(self, state: State | WrappedState) -> Any:
         """Returns the positions: the paper's policy sees all of them."""
         return state.positions
+
+    def _check_robots(self, positions: Float[Array, "robots 2 *batch"]) -> None:
+        robots = self.config.robots
+        if positions.shape[:2] != (robots, 2):
+            raise InputError("positions", f"an array {positions.shape}", f"of shape ({robots}, 2, ...), the batch last")
 
     def _state(self, positions: Float[Array, "robots 2 *batch"]) -> State:
         configuration = Configuration(positions, self.config)
