@@ -136,13 +136,11 @@ def discover(
     Example:
         >>> run = murmurate.discover("F", seed=1, base={"ppo": {"updates": 20}})  # doctest: +SKIP
     """
-    from murmurate import compilation_cache
     from murmurate.errors import check_function, check_path
 
     if out is not None:
         check_path("out", out)
     check_function("on_progress", on_progress, "on_progress(work, done, total, **values)")
-    compilation_cache.configure()
     from murmurate.runs.train import discover as train  # only now, because it loads JAX
 
     config = _resolve(experiment, fields)
@@ -175,9 +173,6 @@ def load(folder: str | Path, trust: bool = False) -> murmurate.Run:
         RunError: The folder is missing, unfinished, damaged or of an unknown version, or names modules and is not
             trusted.
     """
-    from murmurate import compilation_cache
-
-    compilation_cache.configure()
     from murmurate.runs.run import Run  # only now, because it loads JAX
 
     return Run.open(folder, trust)
@@ -198,9 +193,6 @@ def pretrained(objective: str = "C2", sensing: str = "visible", scheduler: str =
     Raises:
         InputError: There are no such weights; the message lists those that there are.
     """
-    from murmurate import compilation_cache
-
-    compilation_cache.configure()
     from murmurate.runs import pretrained as weights  # only now, because it loads JAX
 
     return weights.pretrained(objective, sensing, scheduler)

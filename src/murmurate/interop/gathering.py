@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, PyTree, UInt8, UInt32
 
-from murmurate import compilation_cache, forks, prng
+from murmurate import forks, prng
 from murmurate.discovery import DiscoveryConfig, Problem, RestRule, StageConfig, build_environment, check_parts
 from murmurate.errors import MAX_INTEGER, InputError, check_choice, check_number, suggestion
 from murmurate.policies import CentralPolicy, LocalPolicy, Shield
@@ -209,7 +209,6 @@ def make_gathering(keywords: Mapping[str, Any], sensing: Any = None) -> Gatherin
         InputError: A keyword is unknown, a value is not allowed, or a class cannot be imported or does not return what
             it should.
     """
-    compilation_cache.configure()
     shared, sizes = ({field.name for field in fields(cls)} for cls in (Options, WorldConfig))
     for name, value in keywords.items():
         if name not in shared | sizes:
