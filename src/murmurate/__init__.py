@@ -15,6 +15,7 @@ import murmurate  # annotations name its lazy classes, so that they can be resol
 if TYPE_CHECKING:
     from murmurate import (
         analysis,
+        cli,
         discovery,
         errors,
         geometry,
@@ -22,7 +23,10 @@ if TYPE_CHECKING:
         learning,
         plots,
         policies,
+        registry,
+        report,
         runs,
+        types,
         world,
     )
     from murmurate.discovery import Cascade, Validity, check_validity
@@ -64,7 +68,22 @@ _NAMES = {
 }
 """The module of each public name."""
 
-_MODULES = ("analysis", "discovery", "errors", "geometry", "interop", "learning", "plots", "policies", "runs", "world")
+_MODULES = (
+    "analysis",
+    "cli",
+    "discovery",
+    "errors",
+    "geometry",
+    "interop",
+    "learning",
+    "plots",
+    "policies",
+    "registry",
+    "report",
+    "runs",
+    "types",
+    "world",
+)
 
 __all__ = [
     "Baseline",
@@ -90,6 +109,7 @@ __all__ = [
     "__version__",
     "analysis",
     "check_validity",
+    "cli",
     "discover",
     "discovery",
     "errors",
@@ -102,8 +122,11 @@ __all__ = [
     "plots",
     "policies",
     "pretrained",
+    "registry",
+    "report",
     "runs",
     "start_set",
+    "types",
     "world",
 ]
 
