@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from benchmarks.measure import Case, measure
+from murmurate.analysis.measures import fit_line
 from murmurate.geometry._batch_last import visibility
 from murmurate.world import UniformStart, World, WorldConfig
 
@@ -68,10 +69,10 @@ def main() -> None:
     for timing in timings:
         print(f"| {timing.case.name} | {timing.seconds * 1e3:.2f} | {timing.spread:.0%} | {timing.compile:.1f} |")
     seconds = dict(zip(SIZES, (timing.seconds for timing in timings), strict=False))
-    exponent = np.polyfit(np.log(FITTED), np.log([seconds[n] for n in FITTED]), 1)[0]
-    print(
-        f"\nCost grows as N^{exponent:.2f} from {FITTED[0]} to {FITTED[-1]} robots, by least squares of the logarithms."
-    )
+    line = fit_line([math.log(robots) for robots in FITTED], [math.log(seconds[robots]) for robots in FITTED])
+    assert line is not None
+    sizes = f"from {FITTED[0]} to {FITTED[-1]} robots"
+    print(f"\nCost grows as N^{line.slope:.2f} {sizes}, by least squares of the logarithms.")
 
 
 if __name__ == "__main__":

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
+import math
 import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from benchmarks import peers, pieces
 from benchmarks.cases import RESTARTS, SENSING, SIZED, STEP, TRAINING
 from benchmarks.machine import CEILING
 from benchmarks.measure import Timing
+from murmurate.analysis.measures import fit_line
 from murmurate.runs.table import as_markdown
 
-__all__ = ["RANGES", "exponent", "fits", "markdown", "records", "step_seconds", "write"]
+__all__ = ["RANGES", "fits", "markdown", "records", "step_seconds", "write"]
 
 RANGES = ((4, 32), (128, 1024))
 """Ranges of swarm sizes over which exponents are fitted."""
@@ -63,22 +63,20 @@ def step_seconds(cases: Rows, name: str) -> tuple[list[int], list[float]]:
     return sizes, [1 / largest[robots]["per_second"] for robots in sizes]
 
 
-def exponent(robots: Sequence[float], seconds: Sequence[float]) -> float:
-    """Returns the exponent of N in the cost: the slope of the least-squares line through the logarithms."""
-    return float(np.polyfit(np.log(robots), np.log(seconds), 1)[0])
-
-
 def fits(cases: Rows) -> list[dict[str, Any]]:
-    """Returns the exponents over each range in which at least two sizes were timed."""
+    """Returns the exponent of N in the cost over each range in which at least three sizes were timed.
+
+    It is the slope of the line through the logarithms.
+    """
     rows = []
     for name in (STEP, SENSING):
         sizes, seconds = step_seconds(cases, name)
         for low, high in RANGES:
             inside = [index for index, robots in enumerate(sizes) if low <= robots <= high]
-            if len(inside) > 1:
-                power = exponent([sizes[index] for index in inside], [seconds[index] for index in inside])
+            line = fit_line(*([math.log(values[index]) for index in inside] for values in (sizes, seconds)))
+            if line is not None:
                 ends = {"low": sizes[inside[0]], "high": sizes[inside[-1]]}
-                rows.append({"name": name, **ends, "exponent": round(power, 3)})
+                rows.append({"name": name, **ends, "exponent": round(line.slope, 3)})
     return rows
 
 

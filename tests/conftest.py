@@ -34,10 +34,7 @@ import strict
 # Before the package is loaded: every call of one of its functions checks types and shapes.
 strict.install("murmurate")
 
-from murmurate import compilation_cache
 from tiny import KINDS, tiny
-
-compilation_cache.configure()
 
 hypothesis.settings.register_profile("ci", derandomize=True, deadline=None, database=None)
 hypothesis.settings.load_profile("ci")

@@ -14,9 +14,9 @@ from murmurate import compilation_cache
 ROOT = Path(__file__).parents[1]
 
 SMALL = """
-from murmurate import compilation_cache
 {before}
-compilation_cache.configure()
+import murmurate.prng
+{after}
 import jax
 print(jax.jit(lambda x: x + 1)(1))
 print(jax.config.jax_compilation_cache_dir)
@@ -24,8 +24,6 @@ print(jax.config.jax_compilation_cache_dir)
 
 TRAIN = """
 import hashlib, sys
-from murmurate import compilation_cache
-compilation_cache.configure()
 import equinox as eqx, jax, jax.numpy as jnp, numpy as np
 {train}
 weights = jax.tree.leaves(eqx.filter(policy, eqx.is_array))
@@ -61,12 +59,12 @@ def execute(code, tmp_path, **variables):
 @pytest.mark.parametrize("before", ["", "import jax; jax.jit(lambda x: x - 1)(1)"], ids=["before JAX", "after JAX"])
 @pytest.mark.skipif(sys.platform != "linux", reason="another folder")
 def test_programs_are_kept_in_the_platforms_folder(before, tmp_path):
-    first = execute(SMALL.format(before=before), tmp_path)
+    first = execute(SMALL.format(before=before, after=""), tmp_path)
     folder = Path(first.stdout.split()[1])
     assert folder.is_relative_to(tmp_path / "home" / ".cache" / "murmurate")
     entries = {path: path.read_bytes() for path in folder.glob("*-cache")}
     assert entries
-    assert execute(SMALL.format(before=before), tmp_path).stdout == first.stdout
+    assert execute(SMALL.format(before=before, after=""), tmp_path).stdout == first.stdout
     assert {path: path.read_bytes() for path in folder.glob("*-cache")} == entries
     assert first.stderr == ""
 
@@ -83,14 +81,30 @@ def test_programs_are_kept_in_the_platforms_folder(before, tmp_path):
 @pytest.mark.skipif(sys.platform != "linux", reason="another folder")
 def test_variables_move_it_or_switch_it_off(variables, part, tmp_path):
     variables = {name: value.format(tmp=tmp_path) for name, value in variables.items()}
-    result = execute(SMALL.format(before=""), tmp_path, **variables)
+    result = execute(SMALL.format(before="", after=""), tmp_path, **variables)
     assert result.stdout.split()[1].startswith(part.format(tmp=tmp_path))
     assert result.stderr == ""
 
 
+@pytest.mark.parametrize("when", ["before", "after"])
+def test_a_cache_that_the_user_chooses_in_python_is_left_alone(when, tmp_path):
+    chosen = tmp_path / "chosen"
+    choice = f"import jax; jax.config.update('jax_compilation_cache_dir', {str(chosen)!r})"
+    code = SMALL.format(**{"before": "", "after": ""} | {when: choice})
+    result = execute(code, tmp_path, MURMURATE_CACHE=str(tmp_path / "ours"))
+    assert result.stdout == f"2\n{chosen}\n"
+    assert not list((tmp_path / "ours").rglob("*-cache"))
+
+
+@pytest.mark.parametrize("module", ["world", "learning"])
+def test_every_module_that_computes_switches_it_on(module, tmp_path):
+    code = f"import murmurate.{module}, jax; print(jax.config.jax_compilation_cache_dir)"
+    assert execute(code, tmp_path, MURMURATE_CACHE=str(tmp_path)).stdout.startswith(f"{tmp_path}/compiled-")
+
+
 def test_without_a_writable_folder_one_line_says_so(tmp_path):
     (tmp_path / "file").write_text("")
-    result = execute(SMALL.format(before=""), tmp_path, MURMURATE_CACHE=str(tmp_path / "file"))
+    result = execute(SMALL.format(before="", after=""), tmp_path, MURMURATE_CACHE=str(tmp_path / "file"))
     assert result.stdout == "2\nNone\n"
     assert result.stderr == (
         "murmurate: programs are compiled anew: Not a directory (set MURMURATE_CACHE to a folder, or off)\n"
@@ -98,10 +112,10 @@ def test_without_a_writable_folder_one_line_says_so(tmp_path):
 
 
 def test_a_damaged_entry_is_no_news(tmp_path):
-    folder = Path(execute(SMALL.format(before=""), tmp_path).stdout.split()[1])
+    folder = Path(execute(SMALL.format(before="", after=""), tmp_path).stdout.split()[1])
     for entry in folder.glob("*-cache"):
         entry.write_bytes(entry.read_bytes()[:20])
-    result = execute(SMALL.format(before=""), tmp_path)
+    result = execute(SMALL.format(before="", after=""), tmp_path)
     assert result.stdout.startswith("2\n")
     assert result.stderr == ""
 

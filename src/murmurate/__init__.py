@@ -15,6 +15,7 @@ import murmurate  # annotations name its lazy classes, so that they can be resol
 if TYPE_CHECKING:
     from murmurate import (
         analysis,
+        cli,
         discovery,
         errors,
         geometry,
@@ -22,7 +23,10 @@ if TYPE_CHECKING:
         learning,
         plots,
         policies,
+        registry,
+        report,
         runs,
+        types,
         world,
     )
     from murmurate.discovery import Cascade, Validity, check_validity
@@ -64,7 +68,22 @@ _NAMES = {
 }
 """The module of each public name."""
 
-_MODULES = ("analysis", "discovery", "errors", "geometry", "interop", "learning", "plots", "policies", "runs", "world")
+_MODULES = (
+    "analysis",
+    "cli",
+    "discovery",
+    "errors",
+    "geometry",
+    "interop",
+    "learning",
+    "plots",
+    "policies",
+    "registry",
+    "report",
+    "runs",
+    "types",
+    "world",
+)
 
 __all__ = [
     "Baseline",
@@ -90,6 +109,7 @@ __all__ = [
     "__version__",
     "analysis",
     "check_validity",
+    "cli",
     "discover",
     "discovery",
     "errors",
@@ -102,8 +122,11 @@ __all__ = [
     "plots",
     "policies",
     "pretrained",
+    "registry",
+    "report",
     "runs",
     "start_set",
+    "types",
     "world",
 ]
 
@@ -136,13 +159,11 @@ def discover(
     Example:
         >>> run = murmurate.discover("F", seed=1, base={"ppo": {"updates": 20}})  # doctest: +SKIP
     """
-    from murmurate import compilation_cache
     from murmurate.errors import check_function, check_path
 
     if out is not None:
         check_path("out", out)
     check_function("on_progress", on_progress, "on_progress(work, done, total, **values)")
-    compilation_cache.configure()
     from murmurate.runs.train import discover as train  # only now, because it loads JAX
 
     config = _resolve(experiment, fields)
@@ -175,9 +196,6 @@ def load(folder: str | Path, trust: bool = False) -> murmurate.Run:
         RunError: The folder is missing, unfinished, damaged or of an unknown version, or names modules and is not
             trusted.
     """
-    from murmurate import compilation_cache
-
-    compilation_cache.configure()
     from murmurate.runs.run import Run  # only now, because it loads JAX
 
     return Run.open(folder, trust)
@@ -198,9 +216,6 @@ def pretrained(objective: str = "C2", sensing: str = "visible", scheduler: str =
     Raises:
         InputError: There are no such weights; the message lists those that there are.
     """
-    from murmurate import compilation_cache
-
-    compilation_cache.configure()
     from murmurate.runs import pretrained as weights  # only now, because it loads JAX
 
     return weights.pretrained(objective, sensing, scheduler)

@@ -1,7 +1,7 @@
 """Keeps compiled programs on disk, so that a program is compiled once on a machine and not once in every process.
 
-JAX has such a cache and leaves it off. `configure` switches it on, in the folder for caches of the platform. Results
-are the same with it and without.
+JAX has such a cache and leaves it off. `configure` switches it on, in the folder for caches of the platform, when the
+package first loads JAX. Results are the same with it and without.
 
 The environment variable MURMURATE_CACHE moves the cache to another folder; `off` switches it off. Where the user has
 set JAX's own cache (JAX_COMPILATION_CACHE_DIR, or `jax.config`), that one is used and nothing is changed.
@@ -28,16 +28,17 @@ MAX_BYTES = 1 << 30
 
 @functools.cache
 def configure() -> None:
-    """Switches the cache on for this process and those that it starts.
+    """Switches the cache on for this process.
 
     Does nothing at a second call. Prints one line on stderr and goes on without a cache where the folder cannot be
     written to.
     """
+    import jax  # only now: the commands that compute nothing do not load it
+    from jax.experimental.compilation_cache.compilation_cache import reset_cache
+
     # An entry that a killed process left half-written cannot be read: the program is compiled again, which is no news.
     warnings.filterwarnings("ignore", "Error (reading|writing) persistent compilation cache entry", UserWarning)
-    jax = sys.modules.get("jax")
-    chosen = os.environ.get("JAX_COMPILATION_CACHE_DIR") or (jax and jax.config.jax_compilation_cache_dir)
-    if chosen or os.environ.get(VARIABLE) == "off":
+    if jax.config.jax_compilation_cache_dir or os.environ.get(VARIABLE) == "off":
         return
     try:
         cache = folder()
@@ -49,16 +50,9 @@ def configure() -> None:
         reason = getattr(error, "strerror", None) or error
         print(f"murmurate: programs are compiled anew: {reason} (set {VARIABLE} to a folder, or off)", file=sys.stderr)
         return
+    jax.config.update("jax_compilation_cache_dir", str(cache))
     # JAX keeps what takes a second to compile; a short run is mostly small programs.
-    settings = {"jax_compilation_cache_dir": str(cache), "jax_persistent_cache_min_compile_time_secs": 0.0}
-    if jax is None:
-        # JAX reads the environment when it is loaded, and is not loaded for this.
-        os.environ.update({name.upper(): str(value) for name, value in settings.items()})
-        return
-    from jax.experimental.compilation_cache.compilation_cache import reset_cache
-
-    for name, value in settings.items():
-        jax.config.update(name, value)
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     reset_cache()  # JAX looks for a cache at its first compilation, and not again
 
 

@@ -17,12 +17,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Key, PRNGKeyArray
 
-from murmurate import forks
+from murmurate import compilation_cache, forks
 
 __all__ = ["GENERATOR", "MAX_SEED", "bernoulli", "key", "reproducible", "signs", "wrap"]
 
 GENERATOR = "threefry2x32"
 MAX_SEED = 2**32 - 1
+
+# Whatever computes with JAX imports this module, so that its programs are kept whichever function is called first.
+compilation_cache.configure()
 
 
 @contextlib.contextmanager

@@ -22,6 +22,7 @@ from typing import Any, ClassVar, TypeVar
 import equinox as eqx
 
 from murmurate.errors import InputError, suggestion
+from murmurate.representation import short_repr
 
 __all__ = ["Importer", "Strategy"]
 
@@ -41,6 +42,8 @@ class Strategy(eqx.Module):
 
     section: ClassVar[str] = "strategy"
     """What the kind is called in configurations and messages."""
+
+    __repr__ = short_repr
 
     @classmethod
     def strategy_kind(cls) -> type[Strategy]:
@@ -93,10 +96,6 @@ class Strategy(eqx.Module):
         """What a configuration calls the class of this strategy."""
         return type(self).spelling()
 
-    def __repr__(self) -> str:
-        values = ((field.name, getattr(self, field.name)) for field in dataclasses.fields(self))
-        return f"{type(self).__name__}({', '.join(f'{name}={value!r}' for name, value in values)})"
-
 
 @dataclasses.dataclass(frozen=True)
 class Importer:
@@ -110,6 +109,8 @@ class Importer:
 
     folders: tuple[Path, ...] = ()
     trusted: bool = True
+
+    __repr__ = short_repr
 
     def find(self, kind: type[S], use: object, field: str) -> type[S]:
         """Returns the class that a configuration names.

@@ -8,6 +8,8 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from murmurate.representation import short_repr
+
 __all__ = ["Observation", "Trajectories", "Transition", "View"]
 
 
@@ -32,6 +34,8 @@ class View(eqx.Module):
     landmark_y: Float[Array, "robots *batch"]
     walls: Float[Array, "robots 4 2 *batch"] | None = None
 
+    __repr__ = short_repr
+
 
 class Observation(eqx.Module):
     """What the robots perceive of a state, and what the state is.
@@ -45,6 +49,8 @@ class Observation(eqx.Module):
     view: View
     positions: Float[Array, "robots 2 *batch"]
     walls: Float[Array, "robots *batch"]
+
+    __repr__ = short_repr
 
 
 class Transition(eqx.Module):
@@ -64,6 +70,8 @@ class Transition(eqx.Module):
     truncated: Bool[Array, "*batch"]
     signals: dict[str, Float[Array, "*batch"]]
     credit: Float[Array, "actions *batch"]
+
+    __repr__ = short_repr
 
 
 @dataclass(frozen=True, eq=False)

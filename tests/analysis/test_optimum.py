@@ -7,8 +7,10 @@ import pytest
 
 from murmurate.analysis.optimum.annealing import AnnealingConfig, anneal
 from murmurate.analysis.optimum.best_known import best_known
+from murmurate.analysis.optimum.formation import Target
 from murmurate.analysis.optimum.search import Formation, OptimumConfig, annealed, distinct, hop, nested_rings, search
 from murmurate.errors import InputError
+from murmurate.geometry import smallest_ring
 from murmurate.world import WorldConfig
 
 SHORT = AnnealingConfig(chains=32, moves_per_robot=300)
@@ -130,3 +132,17 @@ def test_around_one_robot_an_odd_ring_with_an_empty_place_is_valid_where_the_eve
     full, empty = list(nested_rings(target))[2:4]
     assert not target.is_valid(full)
     assert target.is_valid(empty)
+
+
+def test_a_formation_is_valid_by_the_rule_that_judges_episodes():
+    """A robot may stand on the wall of the world as it is stepped in, and the plane has no walls."""
+    wall = float(np.float32(20.1))
+    assert wall > 20.1
+    world = WorldConfig(robots=5, half_width=20.1, half_height=20.1)
+    on_wall = 1.01 * smallest_ring(5, 1.0, 5.0).positions
+    on_wall[:, 0] += wall - on_wall[:, 0].max()
+    on_wall[:, 0] = np.minimum(on_wall[:, 0], wall)
+    beyond = on_wall + np.array([1e-6, 0.0])
+    assert Target(world, "C2").is_valid(on_wall)
+    assert not Target(world, "C2").is_valid(beyond)
+    assert Target(replace(world, bounded=False), "C2").is_valid(beyond)

@@ -13,7 +13,7 @@ import pytest
 import murmurate
 from murmurate.policies import EquivariantPolicy
 from murmurate.policies.features import TIE, pair_and_robot_features
-from murmurate.policies.hull import ANGLE, NO_ANGLE, hull
+from murmurate.policies.hull import hull
 from murmurate.world import GlobalSensing, Observation, VisibleSensing, WorldConfig
 from oracles.features import shadows
 
@@ -164,4 +164,3 @@ def test_no_comparison_is_a_jump():
             for part in (around.pair, around.robot, outline.pair, outline.robot):
                 steps = np.abs(np.diff(np.asarray(part), axis=-1))
                 assert steps.max() < 0.03, path
-    assert ANGLE > NO_ANGLE > 0

@@ -402,3 +402,13 @@ def test_no_such_world(fields):
 def test_there_is_no_such_objective():
     with pytest.raises(InputError, match=r"^objective = 'C9': must be one of C1, C2, custom$"):
         build(objective="C9")
+
+
+@pytest.mark.unchecked
+@pytest.mark.parametrize("shape", [(5, 4, 2), (5, 2, 2), (2, 4), (4,)])
+def test_arrays_of_another_shape_than_the_worlds_are_refused(world, shape):
+    for method in (world.signals, world.state):
+        with pytest.raises(InputError, match=r"^positions = .*must be"):
+            method(jnp.zeros(shape))
+    with pytest.raises(InputError, match=r"^velocities = .*must be of shape \(4, 2, 1\)$"):
+        world.step(world.state(jnp.asarray(SQUARE)[:, :, None]), jnp.zeros(shape))

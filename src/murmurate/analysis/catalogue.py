@@ -32,6 +32,7 @@ from murmurate.geometry.similarity import (
     neighborhoods,
     profile,
 )
+from murmurate.representation import short_repr
 
 __all__ = ["TOLERANCE", "Catalogue", "Finding", "PatternClass", "unmatched"]
 
@@ -95,6 +96,8 @@ class Finding:
     seed: int
     run: str
     episode: int
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         points = configuration(self.positions) + 0.0  # without -0.0, which would be written in another way
@@ -163,6 +166,8 @@ class PatternClass:
     nearest: Float[np.ndarray, " robots"]
     margin: float
 
+    __repr__ = short_repr
+
     @property
     def representative(self) -> Finding:
         """The member of greatest value."""
@@ -213,6 +218,8 @@ class Catalogue:
     symmetry_tolerance: float
     scaling: bool
     reflection: bool
+
+    __repr__ = short_repr
 
     @classmethod
     def from_findings(

@@ -11,6 +11,7 @@ from jaxtyping import Float
 from murmurate.errors import check_number
 from murmurate.geometry import distances
 from murmurate.geometry.similarity import configuration
+from murmurate.representation import short_repr
 
 __all__ = ["Line", "fit_line", "nearest_distances", "visibility_margin"]
 
@@ -82,6 +83,8 @@ class Line:
     slope: float
     intercept: float
     r_squared: float
+
+    __repr__ = short_repr
 
 
 def fit_line(x: Sequence[float], y: Sequence[float]) -> Line | None:

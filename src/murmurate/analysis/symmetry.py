@@ -23,6 +23,7 @@ from scipy.optimize import linear_sum_assignment
 
 from murmurate.errors import check_number
 from murmurate.geometry.similarity import align, distance, normalized
+from murmurate.representation import short_repr
 
 __all__ = ["SYMMETRY_TOLERANCE", "Symmetry", "symmetry", "upright"]
 
@@ -52,6 +53,8 @@ class Symmetry:
     rotations: int
     mirrored: bool
     residual: float
+
+    __repr__ = short_repr
 
     @property
     def name(self) -> str:

@@ -15,7 +15,7 @@ import warnings
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from murmurate import __version__, compilation_cache
+from murmurate import __version__
 from murmurate.errors import (
     MAX_LINE,
     BeyondTrainingWarning,
@@ -121,7 +121,6 @@ def _run(arguments: list[str]) -> int:
         what = "flag" if verb.startswith("-") else "verb"
         known = ["--help", "--version"] if verb.startswith("-") else list(VERBS)
         raise UsageError(f"unknown {what} {verb}{suggestion(verb, known)} (see murmurate --help)")
-    compilation_cache.configure()
     with warnings.catch_warnings():
         warnings.simplefilter("once", BeyondTrainingWarning)
         warnings.simplefilter("once", StartSetWarning)

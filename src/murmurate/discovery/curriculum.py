@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from murmurate.discovery.problem import Problem, check_problem
+from murmurate.representation import short_repr
 
 __all__ = ["Curriculum"]
 
@@ -22,6 +23,9 @@ class Curriculum:
     Args:
         problem: The problem.
     """
+
+    __match_args__ = ("problem",)
+    __repr__ = short_repr
 
     def __init__(self, problem: Problem) -> None:
         check_problem(problem)

@@ -11,6 +11,7 @@ from murmurate.discovery.cascade import RestRule
 from murmurate.errors import MAX_INTEGER, MAX_MAGNITUDE, InputError, check_choice, check_number, check_type
 from murmurate.learning import LEARNERS, GradientConfig, LearnerConfig, PPOConfig
 from murmurate.policies import NoShield, Policy, Shield
+from murmurate.representation import short_repr
 from murmurate.world import (
     FsyncScheduler,
     GlobalSensing,
@@ -75,6 +76,8 @@ class StageConfig:
     margin: float = 0.0
     warm_start: bool = False
 
+    __repr__ = short_repr
+
     def __post_init__(self) -> None:
         for name, weight in self.weights.items():
             check_number(f"weights.{name}", weight, 0, MAX_MAGNITUDE)
@@ -120,6 +123,8 @@ class DiscoveryConfig:
     sigma: int = 512
     episodes: int = 256
     chunk: int = 5
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         for name in ("min_policies", "max_policies", "sigma", "episodes", "chunk"):
@@ -175,6 +180,8 @@ class Problem:
     scheduler: Scheduler = field(default_factory=FsyncScheduler, kw_only=True)
     shield: Shield = field(default_factory=NoShield, kw_only=True)
     sizes: tuple[int, ...] = field(default=(), kw_only=True)
+
+    __repr__ = short_repr
 
     @property
     def objective_signals(self) -> dict[str, Signal]:

@@ -19,6 +19,7 @@ from murmurate.discovery.problem import Problem
 from murmurate.discovery.stage import Stage, draw_key, policy_name, repeat_to, training_world
 from murmurate.discovery.validity import check_validity
 from murmurate.learning import TrainState, check_divides, sharding, train_together
+from murmurate.representation import short_repr
 from murmurate.world import HardStart, JitteredStart, SymmetricStart, UniformStart, World, check_start, draw_starts
 
 __all__ = ["Search", "Snapshot", "advance_together"]
@@ -43,6 +44,8 @@ class Snapshot:
     train: TrainState | None
     finished: bool = False
 
+    __repr__ = short_repr
+
 
 class Search:
     """Algorithm 2, one chunk of updates at a time.
@@ -58,6 +61,9 @@ class Search:
     Raises:
         InputError: The problem is impossible, as with too many robots for the start.
     """
+
+    __match_args__ = ("problem",)
+    __repr__ = short_repr
 
     def __init__(self, problem: Problem, initial: Sequence[Any] = ()) -> None:
         self.problem, self.initial = problem, tuple(initial)

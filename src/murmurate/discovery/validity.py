@@ -16,10 +16,11 @@ from scipy.sparse.csgraph import maximum_bipartite_matching
 from murmurate.errors import InputError, check_number, check_type
 from murmurate.geometry import _batch_last
 from murmurate.geometry._checks import check_vectors
+from murmurate.representation import short_repr
 from murmurate.types import Trajectories
 from murmurate.world import Configuration, Signal, WorldConfig, check_world
 
-__all__ = ["Validity", "bound_steps", "check_validity"]
+__all__ = ["Validity", "bound_steps", "check_pattern", "check_validity", "contact_free_and_inside"]
 
 Flags = Bool[np.ndarray, " episodes"]
 
@@ -53,6 +54,8 @@ class Validity:
     stationary: Flags
     signals: Mapping[str, Flags] = field(default_factory=dict)
 
+    __repr__ = short_repr
+
     @property
     def formed(self) -> Flags:
         """Whether a pattern formed: all of them but that it stayed."""
@@ -82,8 +85,8 @@ def check_validity(
     check_world(world)
     _check(trajectories, world)
     thresholds = thresholds or {}
-    contact_free, inside = _contact_free_and_inside(trajectories.positions, world)
-    pattern = _pattern(trajectories.final, world, thresholds)
+    contact_free, inside = contact_free_and_inside(trajectories.positions, world)
+    pattern = check_pattern(trajectories.final, world, thresholds)
     validity = Validity(
         contact_free=contact_free,
         inside=inside,
@@ -97,23 +100,34 @@ def check_validity(
     return replace(validity, stationary=_stationary(trajectories, validity.formed, world, thresholds))
 
 
-def _pattern(
+def check_pattern(
     configurations: Float[np.ndarray, "episodes robots 2"],
     world: WorldConfig,
-    thresholds: Mapping[str, tuple[Signal, float]],
+    thresholds: Mapping[str, tuple[Signal, float]] | None = None,
 ) -> dict[str, Flags]:
-    """Returns which conditions of a valid pattern hold of configurations, those of signals as `signals.` and a name."""
+    """Returns which conditions of a valid pattern hold of configurations, whatever led to them.
+
+    Args:
+        configurations: Centres, world units.
+        world: Sizes of the world and its robots.
+        thresholds: Signals with the least values that a valid pattern must reach, by name.
+
+    Returns:
+        The conditions of `Validity` that a configuration alone decides, by name; those of signals as `signals.` and a
+        name. A configuration at rest is a valid pattern where all of them hold.
+    """
     positions = np.moveaxis(configurations.astype(float), 0, -1)
-    others = ~np.eye(world.robots, dtype=bool)
+    others = ~np.eye(len(positions), dtype=bool)
     near, seen = _batch_last.neighbors_and_visible(positions, world.radius, world.scan_radius)
     configuration = Configuration(positions, world)
     return {
+        "inside": ~_batch_last.any_outside(positions, *world.limits),
         "mutually_visible": seen[others].all(axis=0),
         "gathered": near[others].all(axis=0),
         "safe": (_batch_last.distances(positions)[others] >= world.safe_distance).all(axis=0),
         **{
             f"signals.{name}": np.asarray(signal.value(configuration)) >= least
-            for name, (signal, least) in thresholds.items()
+            for name, (signal, least) in (thresholds or {}).items()
         },
     }
 
@@ -125,13 +139,13 @@ def _stationary(
     if trajectories.after_rest is None:
         return np.zeros_like(formed)
     moves = np.concatenate([trajectories.final[:, None], trajectories.after_rest], axis=1)
-    contact_free, inside = _contact_free_and_inside(moves, world)
+    contact_free, inside = contact_free_and_inside(moves, world)
     drift = np.linalg.norm(moves[:, -1].astype(float) - moves[:, 0], axis=-1).max(axis=-1)
     stationary = formed & contact_free & inside & (drift <= DRIFT * world.radius)
     for step in range(1, moves.shape[1]):
         changed = np.flatnonzero(stationary & (moves[:, step] != moves[:, step - 1]).any(axis=(1, 2)))
         if len(changed):
-            flags = _pattern(moves[changed, step], world, thresholds)
+            flags = check_pattern(moves[changed, step], world, thresholds)
             stationary[changed] = np.logical_and.reduce(list(flags.values()))
     return stationary
 
@@ -151,10 +165,17 @@ def _check(trajectories: Trajectories, world: WorldConfig) -> None:
         raise InputError("trajectories.after_rest", f"an array {after}", allowed)
 
 
-def _contact_free_and_inside(
+def contact_free_and_inside(
     positions: Float[np.ndarray, "episodes time robots 2"], world: WorldConfig
 ) -> tuple[Flags, Flags]:
-    """Follows every step along its straight lines; both hold only where no position is NaN."""
+    """Returns in which episodes no two discs touch at any moment, and in which no robot leaves the world.
+
+    Every step is followed along its straight lines. Both hold only where no position is NaN.
+
+    Args:
+        positions: Centres, world units, at every step.
+        world: Sizes of the world and its robots.
+    """
     contact_free, inside = np.ones(positions.shape[0], bool), np.ones(positions.shape[0], bool)
     # Step by step, because all positions in float64 would take twice the memory of the record.
     now = np.moveaxis(positions[:, 0].astype(float), 0, -1)

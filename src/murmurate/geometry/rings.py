@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from murmurate.errors import check_number
 from murmurate.geometry._checks import check_length
+from murmurate.representation import short_repr
 
 __all__ = ["Ring", "safe_ring_radius", "smallest_ring", "smallest_ring_radius", "visible_ring_radius"]
 
@@ -28,6 +29,8 @@ class Ring(NamedTuple):
     radius: float
     visible: float
     safe: float
+
+    __repr__ = short_repr
 
 
 def visible_ring_radius(robots: Any, radius: Any) -> Any:

@@ -25,6 +25,7 @@ from jaxtyping import Complex, Float, Int
 from scipy.optimize import linear_sum_assignment
 
 from murmurate.errors import InputError
+from murmurate.representation import short_repr
 
 __all__ = [
     "Match",
@@ -57,6 +58,8 @@ class Match(NamedTuple):
     angle: float
     mirrored: bool
     order: Int[np.ndarray, " robots"]
+
+    __repr__ = short_repr
 
 
 def configuration(positions: Any) -> Points:

@@ -17,11 +17,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, PyTree, UInt8, UInt32
 
-from murmurate import compilation_cache, forks, prng
+from murmurate import forks, prng
 from murmurate.discovery import DiscoveryConfig, Problem, RestRule, StageConfig, build_environment, check_parts
 from murmurate.errors import MAX_INTEGER, InputError, check_choice, check_number, suggestion
 from murmurate.policies import CentralPolicy, LocalPolicy, Shield
 from murmurate.registry import Importer, Strategy
+from murmurate.representation import short_repr
 from murmurate.runs import config_io
 from murmurate.world import (
     OBJECTIVES,
@@ -90,6 +91,8 @@ class Gathering:
     world: World
     problem: Problem
     action_scale: ActionScale
+
+    __repr__ = short_repr
 
     @property
     def sensing(self) -> Sensing:
@@ -181,6 +184,8 @@ class Options:
     scheduler: Any = "fsync"
     shield: Any = "none"
 
+    __repr__ = short_repr
+
     def __post_init__(self) -> None:
         check_number("robots", self.robots, 2, integer=True)
         check_choice("objective", self.objective, tuple(OBJECTIVES))
@@ -204,7 +209,6 @@ def make_gathering(keywords: Mapping[str, Any], sensing: Any = None) -> Gatherin
         InputError: A keyword is unknown, a value is not allowed, or a class cannot be imported or does not return what
             it should.
     """
-    compilation_cache.configure()
     shared, sizes = ({field.name for field in fields(cls)} for cls in (Options, WorldConfig))
     for name, value in keywords.items():
         if name not in shared | sizes:
@@ -295,6 +299,8 @@ class StepResult(NamedTuple):
     terminated: Bool[np.ndarray, " batch"]
     truncated: Bool[np.ndarray, " batch"]
     credit: Float[np.ndarray, "batch actions"]
+
+    __repr__ = short_repr
 
 
 class Episodes:

@@ -17,8 +17,10 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float
 
+from murmurate.discovery.validity import contact_free_and_inside
 from murmurate.errors import MAX_MAGNITUDE, InputError, RunError, check_number, check_path
-from murmurate.geometry import any_outside, closest_approach
+from murmurate.geometry import closest_approach
+from murmurate.representation import short_repr
 from murmurate.runs import files
 from murmurate.runs.experiment import ExperimentConfig
 from murmurate.runs.folder import RunFolder
@@ -50,6 +52,8 @@ class Scale:
     robot_radius: float | None = None
     robot_speed: float | None = None
 
+    __repr__ = short_repr
+
     def __post_init__(self) -> None:
         for flag, value in (("--scale", self.metres), ("--period", self.seconds)):
             check_number(flag, value, 1e-3, MAX_MAGNITUDE)
@@ -78,6 +82,8 @@ class Waypoints:
     positions: tuple[Float[np.ndarray, "_ robots 2"], ...]
     left_out: tuple[int, ...]
 
+    __repr__ = short_repr
+
     @classmethod
     def from_run(cls, folder: str | Path, scale: Scale, episodes: int | None = None, trust: bool = False) -> Waypoints:
         """Reads the episodes that a run recorded.
@@ -99,7 +105,8 @@ class Waypoints:
         if episodes is not None:
             check_number("--episodes", episodes, 1, len(positions), integer=True)
         chosen = range(len(positions) if episodes is None else episodes)
-        passable = [index for index in chosen if _is_passable(positions[index], experiment)]
+        contact_free, inside = contact_free_and_inside(positions[: len(chosen)], experiment.world)
+        passable = np.flatnonzero(contact_free & inside).tolist()
         if not passable:
             raise RunError(f"{folder}: every one of {len(chosen)} episodes ended in contact or outside the world")
         points = [np.round(scale.metres * positions[index, : lengths[index] + 1], DIGITS) for index in passable]
@@ -203,14 +210,6 @@ class Waypoints:
     def _velocities(self) -> list[Float[np.ndarray, "steps robots 2"]]:
         pairs = zip(self.positions, self.times, strict=True)
         return [np.diff(points, axis=0) / np.diff(times)[:, None, None] for points, times in pairs]
-
-
-def _is_passable(positions: Float[np.ndarray, "configurations robots 2"], experiment: ExperimentConfig) -> bool:
-    world = experiment.world
-    inside = ~any_outside(positions, *map(float, world.limits)).any()
-    return bool(
-        inside and _nearest(positions, np.ones(len(positions) - 1), np.diff(positions, axis=0)) > 2 * world.radius
-    )
 
 
 def _nearest(positions: np.ndarray, durations: np.ndarray, velocities: np.ndarray) -> float:

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from murmurate.errors import MAX_INTEGER, InputError, check_choice, check_number
+from murmurate.representation import short_repr
 
 __all__ = ["Exploration", "Hyperparameters", "PPOConfig", "Schedule", "Shape", "ValueTarget"]
 
@@ -67,6 +68,8 @@ class PPOConfig:
     log_std: float = -1.0
     log_std_end: float = -2.5
 
+    __repr__ = short_repr
+
     def __post_init__(self) -> None:
         for name in ("updates", "worlds", "steps", "epochs", "minibatches"):
             check_number(name, getattr(self, name), 1, MAX_INTEGER, integer=True)
@@ -92,6 +95,8 @@ class Schedule(eqx.Module):
     start: Any
     end: Any
 
+    __repr__ = short_repr
+
     def __call__(self, progress: Float[Array, ""]) -> Float[Array, ""]:
         """Returns the value at a progress from 0 (first update) to 1 (last)."""
         return self.start + (self.end - self.start) * progress
@@ -109,6 +114,8 @@ class Hyperparameters(eqx.Module):
     reward_scale: Any
     max_gradient: Any
     log_std: Schedule | None
+
+    __repr__ = short_repr
 
     @classmethod
     def from_config(cls, config: PPOConfig) -> Hyperparameters:
@@ -137,6 +144,8 @@ class Shape:
     epochs: int
     minibatches: int
     value_target: ValueTarget
+
+    __repr__ = short_repr
 
     @classmethod
     def from_config(cls, config: PPOConfig) -> Shape:

@@ -25,6 +25,7 @@ from murmurate.learning.advantage import generalized_advantage
 from murmurate.learning.config import MAX_RATE, Schedule
 from murmurate.learning.environment import Environment
 from murmurate.learning.ppo import TrainState, all_finite, descend, flatten_time, scan_state, split_minibatches
+from murmurate.representation import short_repr
 
 __all__ = ["GradientConfig", "GradientHyperparameters", "Segment", "train_chunk"]
 
@@ -76,6 +77,8 @@ class GradientConfig:
         }
     )
 
+    __repr__ = short_repr
+
     def __post_init__(self) -> None:
         for name in ("updates", "worlds", "steps", "epochs", "minibatches"):
             check_number(name, getattr(self, name), 1, MAX_INTEGER, integer=True)
@@ -104,6 +107,8 @@ class GradientHyperparameters(eqx.Module):
     max_gradient: Any
     max_state_gradient: Any
 
+    __repr__ = short_repr
+
     @classmethod
     def from_config(cls, config: GradientConfig) -> GradientHyperparameters:
         """Returns the numbers of a configuration."""
@@ -129,6 +134,8 @@ class Segment:
     steps: int
     epochs: int
     minibatches: int
+
+    __repr__ = short_repr
 
     @classmethod
     def from_config(cls, config: GradientConfig) -> Segment:

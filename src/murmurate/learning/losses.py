@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from murmurate.learning.environment import Policy, Value
+from murmurate.representation import short_repr
 
 __all__ = ["Batch", "policy_loss", "value_loss"]
 
@@ -21,6 +22,8 @@ class Batch(eqx.Module):
     log_prob: Float[Array, "actions batch"]
     advantage: Float[Array, "actions batch"]
     target: Float[Array, "actions batch"]
+
+    __repr__ = short_repr
 
 
 def policy_loss(policy: Policy, batch: Batch, clip: Any) -> tuple[Float[Array, ""], dict[str, Array]]:

@@ -22,6 +22,7 @@ from murmurate.learning.advantage import generalized_advantage, rewards_to_go
 from murmurate.learning.config import Hyperparameters, Shape
 from murmurate.learning.environment import Environment, Policy, Transition, Value, step_with_autoreset
 from murmurate.learning.losses import Batch, policy_loss, value_loss
+from murmurate.representation import short_repr
 
 __all__ = ["Rollout", "TrainState", "collect", "init", "set_log_std", "train_chunk"]
 
@@ -39,6 +40,8 @@ class TrainState(eqx.Module):
     key: UInt32[Array, "..."]
     update: Int[Array, ""]
 
+    __repr__ = short_repr
+
 
 class Rollout(eqx.Module):
     """Trajectories collected with one policy; time first, batch last."""
@@ -48,6 +51,8 @@ class Rollout(eqx.Module):
     action: Any
     log_prob: Float[Array, "*time actions batch"]
     transition: Any
+
+    __repr__ = short_repr
 
 
 def init(policy: Policy, value: Value, env_state: Any, key: PRNGKeyArray) -> TrainState:

@@ -14,6 +14,7 @@ import numpy as np
 from murmurate.learning import sharding
 from murmurate.learning.environment import Environment
 from murmurate.learning.ppo import TrainState, train_chunk
+from murmurate.representation import short_repr
 
 __all__ = ["Chunk", "train_together"]
 
@@ -37,6 +38,8 @@ class Chunk:
     shape: Hashable
     updates: int
     train: Callable[..., tuple[TrainState, dict[str, Any]]] = train_chunk
+
+    __repr__ = short_repr
 
     @property
     def program(self) -> Hashable:

@@ -20,6 +20,7 @@ from murmurate.geometry import on_hull
 from murmurate.geometry.similarity import configuration
 from murmurate.plots.style import INK, INSIDE, LEFT, MUTED, TEXT, WIDTH, add_axes, draw_head, new_page
 from murmurate.plots.swarm import NIGHT, SwarmArtist, sight_pairs
+from murmurate.representation import short_repr
 from murmurate.world import WorldConfig
 
 __all__ = ["PlatePattern", "plate_figure"]
@@ -48,6 +49,8 @@ class PlatePattern:
     scan_radius: float
     caption: str
     note: str = ""
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         points = configuration(self.positions)

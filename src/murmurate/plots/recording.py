@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float, Int
 
 from murmurate.discovery import check_validity, policy_name
 from murmurate.errors import check_number, check_type
+from murmurate.representation import short_repr
 from murmurate.runs.experiment import ExperimentConfig
 from murmurate.runs.folder import RunFolder, describe_starts, is_fresh
 from murmurate.types import Trajectories
@@ -34,6 +35,8 @@ class TrainingCurve:
     environment_steps: Float[np.ndarray, " updates"]
     signals: Mapping[str, Float[np.ndarray, " updates"]]
 
+    __repr__ = short_repr
+
 
 @dataclass(frozen=True)
 class Episode:
@@ -50,6 +53,8 @@ class Episode:
     switches: tuple[int, ...]
     signals: Mapping[str, Float[np.ndarray, " configurations"]]
     at_rest: bool
+
+    __repr__ = short_repr
 
     @property
     def outcome(self) -> str:

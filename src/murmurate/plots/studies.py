@@ -37,6 +37,7 @@ from murmurate.plots.style import (
     style_axes,
 )
 from murmurate.plots.swarm import SwarmArtist, draw_paths, draw_robots, draw_world, show_window, world_half_side
+from murmurate.representation import short_repr
 from murmurate.world import WorldConfig
 
 __all__ = ["Growth", "PaperPoint", "comparison_figure", "failures_figure", "growth_figure", "patterns_figure"]
@@ -148,6 +149,8 @@ class Growth:
     bound: Sequence[float]
     valid: Sequence[float]
 
+    __repr__ = short_repr
+
 
 @dataclass(frozen=True)
 class PaperPoint:
@@ -164,6 +167,8 @@ class PaperPoint:
     robots: int
     steps: float
     start: str
+
+    __repr__ = short_repr
 
 
 def growth_figure(growths: Sequence[Growth], paper: Sequence[PaperPoint] = ()) -> Figure:

@@ -22,6 +22,7 @@ from murmurate import geometry
 from murmurate.errors import check_type
 from murmurate.geometry.similarity import configuration
 from murmurate.plots.style import FAINT, INK, MUTED, NIGHT_POLICIES, POLICIES, ROBOT, SIGHT, WARNING
+from murmurate.representation import short_repr
 from murmurate.world import WorldConfig, check_world
 
 __all__ = [
@@ -63,6 +64,8 @@ class Look:
     shell: str
     point: str
     policies: tuple[str, ...]
+
+    __repr__ = short_repr
 
 
 LIGHT = Look("white", ROBOT, (SIGHT, 0.65), (WARNING, 0.9), FAINT, INK, POLICIES)

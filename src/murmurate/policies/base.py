@@ -17,6 +17,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from murmurate.errors import MAX_INTEGER, InputError, check_choice, check_number
 from murmurate.registry import Strategy
+from murmurate.representation import short_repr
 from murmurate.world.config import WorldConfig
 
 __all__ = ["Credit", "Gaussian", "Policy", "PolicyNetwork", "check_hidden"]
@@ -119,6 +120,8 @@ class Gaussian(eqx.Module):
     mean: Float[Array, "robots 2 *batch"]
     log_std: Float[Array, "..."]
     joint: bool = eqx.field(static=True)
+
+    __repr__ = short_repr
 
     def sample(self, key: PRNGKeyArray) -> Float[Array, "robots 2 *batch"]:
         """Draws velocities."""

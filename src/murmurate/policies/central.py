@@ -11,6 +11,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from murmurate.policies.base import Policy, PolicyNetwork, check_hidden
 from murmurate.policies.layers import Dense, Tanh
+from murmurate.representation import short_repr
 from murmurate.world.config import WorldConfig
 
 __all__ = ["CentralNetwork", "CentralPolicy", "CentralValue"]
@@ -72,6 +73,8 @@ class CentralValue(eqx.Module):
     body: Tanh
     head: Dense
     world: WorldConfig = eqx.field(static=True)
+
+    __repr__ = short_repr
 
     def __init__(self, policy: CentralPolicy, world: WorldConfig, key: PRNGKeyArray) -> None:
         body, head = jax.random.split(key)

@@ -27,6 +27,7 @@ from murmurate.geometry._batch_last import sum_terms
 from murmurate.policies.base import Policy, PolicyNetwork, check_hidden
 from murmurate.policies.features import pair_channels, point, robot_channels, surroundings
 from murmurate.policies.layers import Dense, Linear, bounded
+from murmurate.representation import short_repr
 from murmurate.world.config import WorldConfig
 
 __all__ = ["EquivariantNetwork", "EquivariantPolicy", "EquivariantValue", "SharedPolicy", "ValueHead"]
@@ -118,6 +119,8 @@ class ValueHead(eqx.Module):
     ours: Linear
     head: Dense
 
+    __repr__ = short_repr
+
     def __init__(self, features: int, width: int, key: PRNGKeyArray) -> None:
         keys = jax.random.split(key, 4)
         self.node = Dense(features, width, keys[0], gain=5 / 3)
@@ -139,6 +142,8 @@ class EquivariantValue(eqx.Module):
     basis: int = eqx.field(static=True)
     world: WorldConfig = eqx.field(static=True)
     landmark: bool = eqx.field(static=True)
+
+    __repr__ = short_repr
 
     def __init__(self, policy: SharedPolicy, world: WorldConfig, landmark: bool, key: PRNGKeyArray) -> None:
         self.valuation = ValueHead(robot_channels(policy.basis, landmark), policy.hidden[0], key)

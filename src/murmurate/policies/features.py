@@ -14,6 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from murmurate.geometry._batch_last import sum_over_third_robots, sum_terms
+from murmurate.representation import short_repr
 from murmurate.world.config import WorldConfig
 
 __all__ = [
@@ -67,6 +68,8 @@ class Surroundings(NamedTuple):
     logarithm: Float[Array, "robots others *batch"]
     pair: Float[Array, "pair_channels robots others *batch"]
     robot: Float[Array, "robot_channels robots *batch"]
+
+    __repr__ = short_repr
 
 
 def pair_channels(basis: int) -> int:

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from murmurate.geometry._batch_last import hull_shares
+from murmurate.representation import short_repr
 
 __all__ = ["CORNER_CHANNELS", "EDGE_CHANNELS", "GAP_CHANNELS", "Gap", "Hull", "hull", "mean_position", "widest_gap"]
 
@@ -46,6 +47,8 @@ class Gap(NamedTuple):
     y: Float[Array, "robots *batch"]
     width: Float[Array, "robots *batch"]
 
+    __repr__ = short_repr
+
 
 class Hull(NamedTuple):
     """Each robot's place on the convex hull of itself and the robots that it sees; the observer is the first axis.
@@ -60,6 +63,8 @@ class Hull(NamedTuple):
 
     pair: Float[Array, "edge_channels robots others *batch"]
     robot: Float[Array, "corner_channels robots *batch"]
+
+    __repr__ = short_repr
 
 
 def hull(

@@ -9,6 +9,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from murmurate.representation import short_repr
+
 __all__ = ["Dense", "Linear", "Tanh", "bounded"]
 
 
@@ -26,6 +28,8 @@ class Linear(eqx.Module):
 
     weight: Float[Array, "out features"]
 
+    __repr__ = short_repr
+
     def __init__(self, features: int, out: int, key: PRNGKeyArray, gain: float = 1.0) -> None:
         self.weight = jax.nn.initializers.orthogonal(gain)(key, (out, features))
 
@@ -40,6 +44,8 @@ class Dense(Linear):
 
     bias: Float[Array, " out"]
 
+    __repr__ = short_repr
+
     def __init__(self, features: int, out: int, key: PRNGKeyArray, gain: float = 1.0) -> None:
         super().__init__(features, out, key, gain)
         self.bias = jnp.zeros(out)
@@ -53,6 +59,8 @@ class Tanh(eqx.Module):
     """A stack of dense tanh layers."""
 
     layers: tuple[Dense, ...]
+
+    __repr__ = short_repr
 
     def __init__(self, features: int, widths: tuple[int, ...], key: PRNGKeyArray) -> None:
         keys = jax.random.split(key, max(len(widths), 1))

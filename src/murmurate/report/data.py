@@ -15,6 +15,7 @@ from murmurate.errors import RunError
 from murmurate.plots import Recording
 from murmurate.report.plan import Plan
 from murmurate.report.runs import Result
+from murmurate.representation import short_repr
 
 __all__ = ["REASONS", "Command", "Machine", "Measures", "Pattern", "ReportData", "measure"]
 
@@ -41,6 +42,8 @@ class Pattern:
 
     objective: float
     visible: float
+
+    __repr__ = short_repr
 
 
 @dataclass(frozen=True)
@@ -100,6 +103,8 @@ class Measures:
     final_pattern: Pattern | None
     environment_steps: int
     train_seconds: float
+
+    __repr__ = short_repr
 
 
 def measure(result: Result) -> Measures:
@@ -176,6 +181,8 @@ class Command:
     seconds: float
     reused: int
 
+    __repr__ = short_repr
+
 
 @dataclass(frozen=True)
 class Machine:
@@ -192,6 +199,8 @@ class Machine:
     device: str
     murmurate: str
     versions: tuple[tuple[str, str], ...]
+
+    __repr__ = short_repr
 
     @classmethod
     def from_manifest(cls, manifest: Mapping[str, object]) -> Machine:
@@ -215,6 +224,8 @@ class ReportData:
     plan: Plan
     results: Sequence[Result]
     command: Command
+
+    __repr__ = short_repr
 
     @functools.cached_property
     def measures(self) -> dict[str, Measures]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from murmurate.discovery import StageConfig
+from murmurate.representation import short_repr
 from murmurate.runs.evaluate import EPISODES
 from murmurate.runs.experiment import ExperimentConfig
 from murmurate.runs.grid import Grid
@@ -53,6 +54,8 @@ class PlannedRun:
     learner: str
     config: ExperimentConfig
 
+    __repr__ = short_repr
+
     @property
     def title(self) -> str:
         """The run, as tables and progress call it."""
@@ -74,6 +77,8 @@ class Plan:
     quick: bool
     experiments: Mapping[str, Mapping[str, PlannedRun]]
     sizes: Mapping[str, Mapping[int, PlannedRun]]
+
+    __repr__ = short_repr
 
     @property
     def runs(self) -> tuple[PlannedRun, ...]:

@@ -23,6 +23,7 @@ from murmurate.report.figures import FOLDER, Pictures, draw_figures
 from murmurate.report.plan import TRAINING_PRESETS
 from murmurate.report.render import to_html
 from murmurate.report.tables import duration
+from murmurate.representation import short_repr
 from murmurate.runs import escape, files
 from murmurate.runs.escape import code
 from murmurate.runs.folder import RunFolder
@@ -62,6 +63,8 @@ class Report:
     pictures: Mapping[str, bytes]
     numbers: Mapping[str, Any]
     running: str = ""
+
+    __repr__ = short_repr
 
     @property
     def html(self) -> str:

@@ -12,6 +12,7 @@ from murmurate import plots
 from murmurate.discovery import Search
 from murmurate.errors import RunError
 from murmurate.report.plan import Plan, PlannedRun
+from murmurate.representation import short_repr
 from murmurate.runs.evaluate import evaluated
 from murmurate.runs.execute import Executor, InProcess, run_jobs
 from murmurate.runs.folder import MANIFEST, FolderState, RunFolder, is_fresh
@@ -37,6 +38,8 @@ class Result:
     folder: Path
     manifest: Mapping[str, Any]
     summary: Mapping[str, Any]
+
+    __repr__ = short_repr
 
     @functools.cached_property
     def recording(self) -> plots.Recording:

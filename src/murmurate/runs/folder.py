@@ -35,6 +35,7 @@ import numpy as np
 from murmurate import untrusted
 from murmurate.discovery import Search, Snapshot, policy_name, policy_templates
 from murmurate.errors import MAX_INTEGER, RunError, check_path, shown
+from murmurate.representation import short_repr
 from murmurate.runs import experiment as configuration
 from murmurate.runs import files
 from murmurate.runs.experiment import EXPERIMENT, STARTS, ExperimentConfig
@@ -97,6 +98,8 @@ class Checkpoint:
     snapshot: Snapshot
     rows: int = 0
     seconds: float = 0.0
+
+    __repr__ = short_repr
 
 
 class RunFolder:

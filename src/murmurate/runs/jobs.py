@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from murmurate.discovery import policy_name
+from murmurate.representation import short_repr
 from murmurate.runs import files
 from murmurate.runs.experiment import ExperimentConfig
 from murmurate.runs.folder import RunFolder
@@ -38,6 +39,8 @@ class Progress:
     reward: float | None
     steps_per_second: float | None
     seconds_left: float | None
+
+    __repr__ = short_repr
 
 
 class Job(abc.ABC):
@@ -123,6 +126,8 @@ class TrainingJob(Job):
     on_metrics: Callable[[Path], None] | None = None
     initial: Run | None = None
 
+    __repr__ = short_repr
+
     def is_finished(self) -> bool:
         """See `Job`."""
         run = RunFolder(self.folder)
@@ -203,6 +208,8 @@ class JobStatus:
     state: Literal["waiting", "running", "done", "failed"] = "waiting"
     attempts: int = 0
     error: str = ""
+
+    __repr__ = short_repr
 
 
 def initial_statuses(jobs: Sequence[Job]) -> dict[str, JobStatus]:

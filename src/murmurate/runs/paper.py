@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Literal
 
 from murmurate.errors import InputError, suggestion
+from murmurate.representation import short_repr
 
 __all__ = ["ALLOWED", "EXPERIMENTS", "NOISE", "PaperExperiment", "check_experiment"]
 
@@ -48,6 +49,8 @@ class PaperExperiment:
     base_steps: float
     auxiliary_steps: float
     total_steps: float
+
+    __repr__ = short_repr
 
     @property
     def summed_steps(self) -> float:

@@ -21,7 +21,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from murmurate import compilation_cache, untrusted
+from murmurate import untrusted
 from murmurate.errors import InputError, RunError, one_line
 
 __all__ = ["LOG", "end_reason", "start_process", "work"]
@@ -125,7 +125,6 @@ def _set_environment(threads: int, gpus: int) -> None:
     os.environ["NPROC"] = os.environ["OMP_NUM_THREADS"] = str(threads)
     if not gpus:
         os.environ["JAX_PLATFORMS"] = "cpu"
-    compilation_cache.configure()
 
 
 @contextlib.contextmanager

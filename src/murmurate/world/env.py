@@ -15,8 +15,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key, PRNGKeyArray, UInt32
 
-from murmurate.errors import check_type
+from murmurate.errors import InputError, check_type
 from murmurate.geometry import _batch_last
+from murmurate.representation import short_repr
 from murmurate.types import Observation, Transition, View
 from murmurate.world.config import WorldConfig
 from murmurate.world.randomness import draw_each, episode_keys, key_data, next_keys, wrap_keys
@@ -58,6 +59,8 @@ class State(eqx.Module):
     objective: Float[Array, "*batch"]
     potential: Float[Array, "actions *batch"]
 
+    __repr__ = short_repr
+
     @property
     def epochs(self) -> Int[Array, "*batch"]:
         """Epochs so far: without a scheduler every robot completes a cycle at every step."""
@@ -77,8 +80,9 @@ class State(eqx.Module):
 class World(eqx.Module):
     """A rectangle with N robots: the state is their positions, the action their velocities.
 
-    Methods take one configuration or a batch of them on the LAST axis. Numbers are leaves of the PyTree: changing one
-    does not recompile what was compiled for another.
+    Methods take one configuration or a batch of them on the LAST axis, which is twice as fast in the inner loop of
+    training, and raise an `InputError` for another shape. Numbers are leaves of the PyTree: changing one does not
+    recompile what was compiled for another.
 
     Attributes:
         config: Sizes of the world and its robots.
@@ -137,7 +141,9 @@ class World(eqx.Module):
 
     def signals(self, positions: Float[Array, "robots 2 *batch"]) -> dict[str, Float[Array, "*batch"]]:
         """Returns the signals of configurations by name."""
-        return self.objective.measure(Configuration(positions, self.config))
+        configuration = Configuration(positions, self.config)
+        self._check_robots(configuration.positions)
+        return self.objective.measure(configuration)
 
     def state(self, positions: Float[Array, "robots 2 *batch"], seed: Any = 0) -> State:
         """Returns the state at the beginning of an episode from the given configurations.
@@ -147,6 +153,7 @@ class World(eqx.Module):
             seed: Not used: the world draws nothing. Wrappers may.
         """
         del seed
+        self._check_robots(positions)
         return in_tiles(self._state, positions.shape[0], positions)
 
     def reset_batch(self, key: PRNGKeyArray, batch: int) -> State:
@@ -155,11 +162,18 @@ class World(eqx.Module):
 
     def step(self, state: State, velocities: Float[Array, "robots 2 *batch"]) -> tuple[State, Transition]:
         """Moves every robot for one step; velocities are clipped to the speed limit component by component."""
+        if velocities.shape != state.positions.shape:
+            raise InputError("velocities", f"an array {velocities.shape}", f"of shape {state.positions.shape}")
         return in_tiles(self._step, velocities.shape[0], state, velocities)
 
     def observe(self, state: State | WrappedState) -> Any:
         """Returns the positions: the paper's policy sees all of them."""
         return state.positions
+
+    def _check_robots(self, positions: Float[Array, "robots 2 *batch"]) -> None:
+        robots = self.config.robots
+        if positions.shape[:2] != (robots, 2):
+            raise InputError("positions", f"an array {positions.shape}", f"of shape ({robots}, 2, ...), the batch last")
 
     def _state(self, positions: Float[Array, "robots 2 *batch"]) -> State:
         configuration = Configuration(positions, self.config)
@@ -199,6 +213,8 @@ class WrappedState(eqx.Module):
 
     inner: Any
 
+    __repr__ = short_repr
+
     @property
     def unwrapped(self) -> State:
         """The state of the world."""
@@ -233,6 +249,8 @@ class Wrapper(eqx.Module):
     """
 
     env: Any
+
+    __repr__ = short_repr
 
     @property
     def unwrapped(self) -> World:

@@ -21,6 +21,7 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 from murmurate import prng
 from murmurate.errors import MAX_MAGNITUDE, check_number
 from murmurate.registry import Strategy
+from murmurate.representation import short_repr
 
 __all__ = ["Activation", "AsyncScheduler", "Clock", "FsyncScheduler", "Scheduler", "SsyncScheduler"]
 
@@ -40,6 +41,8 @@ class Clock(eqx.Module):
     idle: Int[Array, "robots *batch"]
     positions: Float[Array, "robots 2 *batch"]
 
+    __repr__ = short_repr
+
 
 class Activation(eqx.Module):
     """What a scheduler decides at one step of one episode.
@@ -57,6 +60,8 @@ class Activation(eqx.Module):
     delay: Int[Array, "robots *batch"]
     move_steps: Int[Array, "robots *batch"]
     completion: Float[Array, "robots *batch"]
+
+    __repr__ = short_repr
 
 
 class Scheduler(Strategy):

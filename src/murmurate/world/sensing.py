@@ -18,6 +18,7 @@ from jaxtyping import Array, Bool, Float, Key, PRNGKeyArray
 from murmurate import prng
 from murmurate.errors import InputError, check_number
 from murmurate.registry import Strategy
+from murmurate.representation import short_repr
 from murmurate.types import View
 from murmurate.world.config import WorldConfig
 from murmurate.world.randomness import draw_each
@@ -43,6 +44,8 @@ class Frames(eqx.Module):
     sin: Float[Array, "robots *batch"]
     chirality: Float[Array, "robots *batch"]
     unit: Float[Array, "robots *batch"]
+
+    __repr__ = short_repr
 
     def to_local(self, x: Array, y: Array) -> tuple[Array, Array]:
         """Turns vectors of the world, observer first, into each observer's frame; lengths stay the world's."""

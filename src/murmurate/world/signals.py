@@ -18,6 +18,7 @@ from jaxtyping import Bool, Float
 from murmurate.errors import MAX_MAGNITUDE, InputError, check_choice, check_number, check_type
 from murmurate.geometry import _batch_last
 from murmurate.registry import Strategy
+from murmurate.representation import short_repr
 from murmurate.world.config import WorldConfig, check_world
 
 __all__ = ["OBJECTIVES", "Configuration", "Objective", "Signal", "objective_signals"]
@@ -33,6 +34,9 @@ class Configuration:
         world: Sizes of the world and its robots.
         xp: The namespace of the arrays: NumPy or JAX.
     """
+
+    __match_args__ = ("positions", "world")
+    __repr__ = short_repr
 
     def __init__(self, positions: Float[Array, "robots 2 *batch"], world: WorldConfig) -> None:
         allowed = "numbers of shape (robots, 2, ...)"
@@ -237,6 +241,8 @@ class Objective(eqx.Module):
     signals: dict[str, Signal]
     weights: dict[str, Any]
     names: tuple[str, ...] = eqx.field(static=True)
+
+    __repr__ = short_repr
 
     def __init__(self, signals: Mapping[str, Signal], weights: Mapping[str, float] | None = None) -> None:
         """Builds the objective.

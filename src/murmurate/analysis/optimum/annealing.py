@@ -17,6 +17,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from murmurate.errors import MAX_MAGNITUDE, InputError, check_number
 from murmurate.geometry import _batch_last
+from murmurate.representation import short_repr
 
 __all__ = ["AnnealingConfig", "anneal"]
 
@@ -47,6 +48,8 @@ class AnnealingConfig:
     step_start: float = 1.0
     step_end: float = 2e-3
     teleport_fraction: float = 0.02
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         check_number("chains", self.chains, 1, MAX_CHAINS, integer=True)

@@ -19,6 +19,7 @@ from jaxtyping import Float
 
 from murmurate.analysis.optimum.formation import Target
 from murmurate.errors import MAX_MAGNITUDE, InputError, check_choice, check_number
+from murmurate.representation import short_repr
 from murmurate.world import OBJECTIVES, WorldConfig
 
 __all__ = ["TABLE", "BestKnown", "best_known", "is_record", "load", "to_json"]
@@ -60,6 +61,8 @@ class BestKnown:
     positions: Float[np.ndarray, "robots 2"]
     command: str
     hop: float | None = None
+
+    __repr__ = short_repr
 
     @classmethod
     def from_target(

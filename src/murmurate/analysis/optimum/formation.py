@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from murmurate.discovery.validity import check_pattern
 from murmurate.errors import check_choice
-from murmurate.geometry import _batch_last
+from murmurate.representation import short_repr
 from murmurate.world import OBJECTIVES, Configuration, Objective, WorldConfig, objective_signals
 
 __all__ = ["Target"]
@@ -31,6 +32,8 @@ class Target:
     world: WorldConfig
     objective: str
     weights: Mapping[str, float] = field(default_factory=dict)
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         check_choice("objective", self.objective, ("C1", "C2"))
@@ -65,12 +68,7 @@ class Target:
 
     def is_valid(self, positions: Points) -> bool:
         """Returns whether a configuration at rest is a valid pattern: gathered, mutually visible, safe and inside."""
-        world, positions = self.world, np.asarray(positions, float)
-        other = ~np.eye(len(positions), dtype=bool)
-        near, seen = _batch_last.neighbors_and_visible(positions, world.radius, world.scan_radius)
-        safe = _batch_last.distances(positions) >= world.safe_distance
-        inside = np.abs(positions) <= np.array([world.half_width, world.half_height])
-        return bool((near & seen & safe)[other].all() and inside.all())
+        return all(holds.all() for holds in check_pattern(np.asarray(positions, float)[None], self.world).values())
 
     def _objective(self) -> Objective:
         signals = objective_signals(self.objective)

@@ -110,7 +110,7 @@ class _Problem:
         return cls(
             radius=world.radius / unit,
             scan=world.scan_radius / unit,
-            edge=np.array([world.half_width, world.half_height]) / unit,
+            edge=world.bounds.astype(float) / unit,
             centred=centred,
             gathering=target.weight("gathering") / weight,
             safety=target.weight("safety") * scale,

@@ -22,6 +22,7 @@ from murmurate.analysis.optimum.polish import polish
 from murmurate.errors import MAX_INTEGER, MAX_MAGNITUDE, check_choice, check_number
 from murmurate.geometry import _batch_last, similarity
 from murmurate.geometry.rings import smallest_ring
+from murmurate.representation import short_repr
 from murmurate.world import WorldConfig, check_pairs
 
 __all__ = ["Formation", "OptimumConfig", "annealed", "distinct", "hop", "search"]
@@ -58,6 +59,8 @@ class OptimumConfig:
     hops: int = 0
     seed: int = 0
 
+    __repr__ = short_repr
+
     def __post_init__(self) -> None:
         check_choice("objective", self.objective, ("C1", "C2"))
         for name, weight in self.weights.items():
@@ -86,6 +89,8 @@ class Formation:
     positions: Float[np.ndarray, "robots 2"]
     value: float
     valid: bool
+
+    __repr__ = short_repr
 
     @classmethod
     def from_positions(cls, positions: Float[np.ndarray, "robots 2"], target: Target) -> Formation:

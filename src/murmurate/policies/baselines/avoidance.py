@@ -25,6 +25,7 @@ from jaxtyping import Array, Bool, Float
 
 from murmurate.geometry._batch_last import sum_terms
 from murmurate.policies.shield import wall_directions
+from murmurate.representation import short_repr
 from murmurate.types import View
 from murmurate.world.config import WorldConfig
 
@@ -63,6 +64,8 @@ class LocalView(NamedTuple):
     landmark_x: Float[Array, "robots *batch"]
     landmark_y: Float[Array, "robots *batch"]
     walls: Float[Array, "robots 4 2 *batch"] | None = None
+
+    __repr__ = short_repr
 
 
 def local_view(view: View, world: WorldConfig) -> LocalView:
