@@ -98,9 +98,9 @@ def measure(cell: Cell) -> dict[str, Any] | None:
 
 
 def weights_of(cell: Cell) -> str:
-    """Returns the checksum of the weights that a cell is measured with."""
-    manifest = files.read_json(FOLDER / cell.objective / cell.sensing / "manifest.json")
-    return next(value for name, value in manifest["checksums"].items() if name.startswith("policies/"))
+    """Returns the checksums of the weights that a cell is measured with, and of their experiment."""
+    checksums = files.read_json(FOLDER / cell.objective / cell.sensing / "manifest.json")["checksums"]
+    return " ".join(checksums[name] for name in sorted(checksums))
 
 
 def page(rows: Sequence[Mapping[str, Any]]) -> str:
