@@ -27,9 +27,10 @@ BEGIN, END = "<!-- measured cells -->", "<!-- end of measured cells -->"
 SIZES = (*range(3, 17), 24, 32, 64, 128)
 LARGE = {64: 5, 128: 20}
 """Sizes of which fewer starts are measured, at random only: by how many times fewer."""
-FEW = ("random", "cluster", "tight-grid")
+SCHEDULED_STARTS = ("random", "cluster", "tight-grid")
+"""Sets of starts that are measured under other schedulers than FSYNC; the first of them in the largest swarms."""
 SCHEDULERS = ("fsync", "ssync", "adversarial", "async-nonrigid")
-MOST_SCHEDULED = 12
+MAX_SCHEDULED_ROBOTS = 12
 """Largest swarm that is measured under other schedulers than FSYNC."""
 FAILURES = ("contact", "left", "hidden", "too near", "not at rest", "not stationary")
 KEY = 7
@@ -37,7 +38,7 @@ KEY = 7
 
 
 @dataclass(frozen=True)
-class Cell:
+class Condition:
     """What is measured at once.
 
     Attributes:
@@ -57,31 +58,31 @@ class Cell:
     episodes: int
 
 
-def cells(episodes: int, sizes: Sequence[int], schedulers: Sequence[str]) -> Iterator[Cell]:
-    """Yields every cell: under FSYNC all families, under other schedulers and in the largest swarms few."""
+def conditions(episodes: int, sizes: Sequence[int], schedulers: Sequence[str]) -> Iterator[Condition]:
+    """Yields every condition: under FSYNC all families, under other schedulers and in the largest swarms few."""
     for objective, sensings in available().items():
         for sensing in sensings:
             for scheduler in schedulers:
                 for robots in sizes:
-                    families = tuple(FAMILIES) if scheduler == "fsync" else FEW
+                    families = tuple(FAMILIES) if scheduler == "fsync" else SCHEDULED_STARTS
                     count = max(episodes // LARGE.get(robots, 1), 1)
-                    for family in FEW[:1] if robots in LARGE else families:
-                        if scheduler == "fsync" or robots <= MOST_SCHEDULED:
-                            yield Cell(objective, sensing, scheduler, robots, family, count)
+                    for family in SCHEDULED_STARTS[:1] if robots in LARGE else families:
+                        if scheduler == "fsync" or robots <= MAX_SCHEDULED_ROBOTS:
+                            yield Condition(objective, sensing, scheduler, robots, family, count)
 
 
-def measure(cell: Cell) -> dict[str, Any] | None:
+def measure(condition: Condition) -> dict[str, Any] | None:
     """Executes the package's weights; None where the family does not fit the world."""
-    run = murmurate.pretrained(cell.objective, cell.sensing, cell.scheduler).of_size(cell.robots)
+    run = murmurate.pretrained(condition.objective, condition.sensing, condition.scheduler).of_size(condition.robots)
     world = run.experiment.world
     try:
-        starts = murmurate.start_set(cell.starts, robots=cell.robots, count=cell.episodes)
+        starts = murmurate.start_set(condition.starts, robots=condition.robots, count=condition.episodes)
     except InputError:
         return None
     trajectories = run.rollout(starts, key=KEY)
     validity = murmurate.check_validity(trajectories, world)
     valid, final = validity.valid, trajectories.final
-    ring = smallest_ring_radius(float(cell.robots), world.radius, world.safe_distance)
+    ring = smallest_ring_radius(float(condition.robots), world.radius, world.safe_distance)
     spread = abs(final - final.mean(axis=1, keepdims=True))
     radius = ((spread**2).sum(axis=2).max(axis=1) ** 0.5)[valid] / float(ring)
     return {
@@ -97,9 +98,9 @@ def measure(cell: Cell) -> dict[str, Any] | None:
     }
 
 
-def weights_of(cell: Cell) -> str:
-    """Returns the checksums of the weights that a cell is measured with, and of their experiment."""
-    checksums = files.read_json(FOLDER / cell.objective / cell.sensing / "manifest.json")["checksums"]
+def weights_of(condition: Condition) -> str:
+    """Returns the checksums of the weights that a condition is measured with, and of their experiment."""
+    checksums = files.read_json(FOLDER / condition.objective / condition.sensing / "manifest.json")["checksums"]
     return " ".join(checksums[name] for name in sorted(checksums))
 
 
@@ -114,7 +115,7 @@ def page(rows: Sequence[Mapping[str, Any]]) -> str:
         model_rows = [r for r in rows if (r["cell"]["objective"], r["cell"]["sensing"]) == (objective, sensing)]
         for title, schedulers, families in (
             ("FSYNC", ("fsync",), tuple(FAMILIES)),
-            ("other schedulers", SCHEDULERS[1:], FEW),
+            ("other schedulers", SCHEDULERS[1:], SCHEDULED_STARTS),
         ):
             if chosen := [row for row in model_rows if row["cell"]["scheduler"] in schedulers]:
                 parts += [f"### {objective}, {sensing}, {title}", _table(chosen, families, len(schedulers) > 1)]

@@ -42,3 +42,12 @@ def test_every_linked_file_exists() -> None:
     for page in pages:
         for target in re.findall(r"\]\(([^)#]+)\)", page.read_text(encoding="utf-8")):
             assert target.startswith("https://") or (page.parent / target).exists(), f"{page.name}: {target}"
+
+
+def test_the_layout_in_contributing_names_every_module() -> None:
+    root = README.parent / "src" / "murmurate"
+    text = (README.parent / "docs" / "contributing.md").read_text(encoding="utf-8")
+    layout = text[text.index("src/murmurate/") : text.index("tests/  ")]
+    modules = [path.relative_to(root) for path in root.rglob("*.py")]
+    names = {part for module in modules for part in (*module.parts[:-1], module.stem) if module.parts[0] != "cli"}
+    assert names - set(re.findall(r"\w+", layout)) == set()

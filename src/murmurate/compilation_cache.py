@@ -38,7 +38,7 @@ def configure() -> None:
 
     # An entry that a killed process left half-written cannot be read: the program is compiled again, which is no news.
     warnings.filterwarnings("ignore", "Error (reading|writing) persistent compilation cache entry", UserWarning)
-    if jax.config.jax_compilation_cache_dir or os.environ.get(VARIABLE) == "off":
+    if jax.config.values["jax_compilation_cache_dir"] or os.environ.get(VARIABLE) == "off":
         return
     try:
         cache = folder()

@@ -51,7 +51,7 @@ VERBS = {
     "catalogue": "sort what runs found into classes of patterns, and draw them on a plate",
     "optimum": "search for the best formation there is, or list the best known",
     "experiments": "list the experiments",
-    "compare": "run learned policies and baselines from the same starts, with the same eyes and schedulers",
+    "compare": "run learned policies and baselines from the same starts, with the same sensing and schedulers",
     "starts": "write a named set of starts, the same on every machine, or list the sets",
     "table": "write the results of many runs as a Markdown table",
     "export": "write policies as an ONNX model, or trajectories as waypoints in metres",

@@ -221,8 +221,8 @@ def pair_and_robot_features(
     dx: Float[Array, "robots others *batch"],
     dy: Float[Array, "robots others *batch"],
     apart: Bool[Array, "robots others *batch"],
-    point_x: Float[Array, "robots *batch"],
-    point_y: Float[Array, "robots *batch"],
+    landmark_x: Float[Array, "robots *batch"],
+    landmark_y: Float[Array, "robots *batch"],
     basis: int,
     world: WorldConfig,
     landmark: bool,
@@ -235,8 +235,8 @@ def pair_and_robot_features(
         dx: First coordinate of each robot (second axis) relative to the observer (first axis).
         dy: Second coordinate.
         apart: Which robots the observer sees, at another place than its own; the coordinates of the others are ignored.
-        point_x: First coordinate of the gathering point relative to the observer.
-        point_y: Second coordinate.
+        landmark_x: First coordinate of the gathering point relative to the observer.
+        landmark_y: Second coordinate.
         basis: Number of radial basis functions.
         world: Sizes of the world and its robots.
         landmark: Whether the gathering point is known.
@@ -268,7 +268,7 @@ def pair_and_robot_features(
     pair = jnp.concatenate([radial, rx * ux + ry * uy, rx * uy - ry * ux, shadows])
     robot = [crowd, jnp.sqrt(sx * sx + sy * sy), shadows.sum(axis=2) / 4]
     if landmark:
-        px, py, near = point(point_x, point_y, basis, world.safe_distance)
+        px, py, near = point(landmark_x, landmark_y, basis, world.safe_distance)
         robot += [near, sx * px + sy * py]
     if scale_free:
         robot.append(relative_spread(mean, others, world))

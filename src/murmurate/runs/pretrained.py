@@ -32,7 +32,7 @@ def pretrained(objective: str = "C2", sensing: str = "visible", scheduler: str =
     """
     known = available()
     check_choice("objective", objective, tuple(known))
-    check_choice("sensing", sensing, tuple(name for name, eyes in SENSINGS.items() if eyes.name in known[objective]))
+    check_choice("sensing", sensing, tuple(name for name, kind in SENSINGS.items() if kind.name in known[objective]))
     check_choice("scheduler", scheduler, tuple(SCHEDULERS))
     run = Run.open(FOLDER / objective / SENSINGS[sensing].name)
     return run.under(replace(run.experiment, sensing=SENSINGS[sensing], scheduler=SCHEDULERS[scheduler]))
