@@ -24,12 +24,13 @@ from murmurate.world import (
     scaled_to,
 )
 
-__all__ = ["GATHERING", "DiscoveryConfig", "Problem", "StageConfig"]
+__all__ = ["GATHERING", "GATHERING_SIGNALS", "DiscoveryConfig", "Problem", "StageConfig"]
 
 ProblemT = TypeVar("ProblemT", bound="Problem")
 
 GATHERING = "gathering"
-"""In weights, the gathering signal of either objective: close (C1) or nclose (C2)."""
+GATHERING_SIGNALS = ("close", "nclose")
+"""In weights, `gathering` stands for the gathering signal of either objective: close (C1) or nclose (C2)."""
 
 
 @dataclass(frozen=True)
@@ -218,7 +219,7 @@ class Problem:
         """Returns the weights of the signals in the reward of the policy at a place in the list."""
         given, weights = self.stage(index).weights, {}
         for name, signal in self.objective_signals.items():
-            gathering = given.get(GATHERING) if name in ("close", "nclose") else None
+            gathering = given.get(GATHERING) if name in GATHERING_SIGNALS else None
             weights[name] = given.get(name, signal.weight if gathering is None else gathering)
         return weights
 

@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 from murmurate import prng, untrusted
 from murmurate.discovery import MAX_REST_STEPS, Problem
-from murmurate.discovery.problem import GATHERING
+from murmurate.discovery.problem import GATHERING, GATHERING_SIGNALS
 from murmurate.errors import InputError, RunError, check_choice, check_number, check_path, check_type, shown
 from murmurate.policies import LocalPolicy
 from murmurate.registry import Importer, source_folder
@@ -81,7 +81,7 @@ class ExperimentConfig(Problem):
                 allowed = f"a name of letters, digits and _, neither {GATHERING} nor total"
                 raise InputError("signals", name, allowed)
         names = self.signal_names
-        gathering = [GATHERING] if {"close", "nclose"} & set(names) else []
+        gathering = [GATHERING] if set(GATHERING_SIGNALS) & set(names) else []
         for section, table, extra in (
             ("base.weights", self.base.weights, gathering),
             ("auxiliary.weights", self.auxiliary.weights, gathering),
