@@ -11,7 +11,6 @@ import math
 import operator
 from abc import abstractmethod
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -73,6 +72,9 @@ class Start(Strategy):
     """
 
     section: ClassVar[str] = "start"
+
+    file_fields: ClassVar[tuple[str, ...]] = ()
+    """The fields that name files: a path in a TOML file is relative to it, and a run keeps copies of the files."""
 
     @abstractmethod
     def sample(self, key: PRNGKeyArray, batch: int, world: WorldConfig) -> Float[Array, "batch robots 2"]:
@@ -229,6 +231,8 @@ class FileStart(LayoutStart):
         file: CSV file of starts with the header start,x,y.
     """
 
+    file_fields: ClassVar[tuple[str, ...]] = ("file",)
+
     file: str = eqx.field(default="", static=True)
 
     def layouts(self, world: WorldConfig) -> Float[np.ndarray, "layouts robots 2"]:
@@ -311,7 +315,9 @@ class MixtureStart(Start):
 
     def prepare(self, world: WorldConfig) -> Start:
         """Prepares both starts."""
-        return replace(self, first=self.first.prepare(world), second=self.second.prepare(world))
+        # Not by its constructor, which takes no share that is an array already.
+        parts = self.first.prepare(world), self.second.prepare(world)
+        return eqx.tree_at(lambda start: (start.first, start.second), self, parts)
 
     def fits_any_size(self) -> bool:
         """Returns whether both starts serve swarms of any size."""
