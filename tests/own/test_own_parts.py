@@ -214,7 +214,7 @@ def test_flags_reach_the_fields_of_ones_own_classes(experiment, tmp_path, capsys
         ("signals.calm", "mine:Rings", "this is no subclass of it"),
         ("signals.calm", "mine:not_a_class", "this is no subclass of it"),
         ("signals.calm", "mine:Abstract", "this one lacks __call__"),
-        ("signals.calm", "mine:Flat", "__call__ returns float[3, 2] for 2 configurations, not float32[2]"),
+        ("signals.calm", "mine:Flat", "__call__ returns float32[3, 2] for 2 configurations, not float32[2]"),
         ("signals.calm", "mine:Undefined", "__call__ returns finite numbers"),
         ("signals.calm", "mine:Broken", "AttributeError: 'Configuration' object has no attribute 'colours'"),
         ("signals.calm", "mine:Listed", "a type that a configuration can hold"),

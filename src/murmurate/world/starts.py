@@ -434,7 +434,7 @@ def check_start(start: Start, world: WorldConfig) -> Start:
         raise InputError("start", start.name, f"a start that can be drawn ({type(error).__name__}: {error})") from None
     wanted = (TRIALS, world.robots, 2)
     shape, dtype = getattr(sampled, "shape", None), getattr(sampled, "dtype", None)
-    if shape != wanted or dtype is None or not jnp.issubdtype(dtype, jnp.floating):
+    if (shape, dtype) != (wanted, jnp.float32):
         what = f"{dtype}{list(shape)}" if shape is not None else type(sampled).__name__
         raise InputError("start", start.name, f"a start whose sample returns float32{list(wanted)}, not {what}")
     if _surely_fits(prepared, world):
