@@ -131,6 +131,23 @@ def test_wrong_types_and_values_are_one_line(field, part, allowed):
     assert str(caught.value) == f"{field} = {part.name!r}: must be {allowed}"
 
 
+def test_parts_of_one_s_own_say_what_they_need():
+    class Home(Far):
+        needs_landmark = True
+
+    class Walled(Bare):
+        perceives, needs_walls = True, True
+
+    local = {"policy": {"use": "local", "hidden": [8, 4]}}
+    assert tiny(signals={"home": Home()}, **local).landmark
+    assert not tiny(signals={"far": Far()}, **local).landmark
+    with pytest.raises(InputError, match=r"^sensing\.landmark = False: must be true"):
+        tiny(signals={"home": Home()}, sensing={"landmark": False}, **local)
+    with pytest.raises(InputError, match=r"^sensing\.walls = False: must be true"):
+        tiny(policy=Walled())
+    assert tiny(policy=Walled(), sensing={"walls": True}).sensing.walls
+
+
 def test_what_is_as_it_should_be_is_not_refused():
     check_parts(tiny(start=Row(), signals={"far": Far()}, scheduler=Given(rigid=False)))
 

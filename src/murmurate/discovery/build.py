@@ -16,7 +16,7 @@ from murmurate import prng
 from murmurate.discovery.cascade import Cascade
 from murmurate.discovery.problem import Problem, check_problem
 from murmurate.errors import InputError
-from murmurate.learning import PPOConfig
+from murmurate.learning import LEARNERS, PPOConfig
 from murmurate.policies import ShieldWrapper
 from murmurate.registry import Strategy
 from murmurate.world import (
@@ -117,7 +117,7 @@ def check_parts(problem: Problem) -> None:
     check_problem(problem)
     world = build_world(problem)
     for index in range(min(2, problem.discovery.max_policies)):
-        if problem.stage(index).learner == "gradients":
+        if LEARNERS[problem.stage(index).learner].needs_gradients:
             _check_gradients(problem, index, world)
     robots, batch = problem.world.robots, 2
     each, moves, whole = _floats(robots, batch), _floats(robots, 2, batch), _floats(batch)

@@ -93,7 +93,7 @@ class StageConfig:
     @property
     def steps_per_update(self) -> int:
         """Steps of the environment in one update."""
-        repeat = self.repeat if self.learner == "ppo" else 1
+        repeat = self.repeat if LEARNERS[self.learner].repeats_actions else 1
         return self.learning.worlds * self.learning.steps * repeat
 
     @property
@@ -208,8 +208,8 @@ class Problem:
 
     @property
     def landmark(self) -> bool:
-        """Whether the gathering point is known: whether the objective counts closeness to the origin."""
-        return "close" in self.signal_names
+        """Whether the gathering point is known: whether a signal of the objective is measured from it."""
+        return any(signal.needs_landmark for signal in self.objective_signals.values())
 
     def stage(self, index: int) -> StageConfig:
         """Returns how the policy at a place in the list is trained."""

@@ -13,7 +13,6 @@ from murmurate import prng, untrusted
 from murmurate.discovery import MAX_REST_STEPS, Problem
 from murmurate.discovery.problem import GATHERING, GATHERING_SIGNALS
 from murmurate.errors import InputError, RunError, check_choice, check_number, check_path, check_type, shown
-from murmurate.policies import LocalPolicy
 from murmurate.registry import Importer, source_folder
 from murmurate.runs import config_io, files
 from murmurate.world import OBJECTIVES, Start, scaled_to
@@ -121,10 +120,12 @@ class ExperimentConfig(Problem):
                 f"{standard.get(name, 'left out')}: with the policy {self.policy.name} robots act on all positions"
             )
             raise InputError(f"sensing.{name}", given[name], f"{allowed}; to act on their own view choose policy local")
-        if isinstance(self.policy, LocalPolicy) and self.policy.walls and not self.sensing.walls:
-            raise InputError("sensing.walls", False, "true with policy.walls: robots act on walls that they perceive")
+        if self.policy.needs_walls and not self.sensing.walls:
+            reason = f"true: with this policy ({self.policy.name}) robots act on the walls that they perceive"
+            raise InputError("sensing.walls", False, reason)
         if self.landmark and not self.sensing.landmark:
-            reason = "true with objective C1: in frames of their own, robots find a given point only by a landmark"
+            signal = next(name for name, signal in self.objective_signals.items() if signal.needs_landmark)
+            reason = f"true with the signal {signal}: in frames of their own, robots find a point only by a landmark"
             raise InputError("sensing.landmark", False, reason)
 
     def _check_sizes(self) -> None:
@@ -285,14 +286,15 @@ def check_same(config: ExperimentConfig, folder: str | Path) -> None:
     there = load(folder)
     recorded = {leaf.path: leaf.value for leaf in config_io.leaves(there)}
     given = {leaf.path: leaf.value for leaf in config_io.leaves(config)}
-    named = config_io.file_fields(there.start).keys() & config_io.file_fields(config.start).keys()
+    old_files, new_files = config_io.file_fields(there.start), config_io.file_fields(config.start)
     for path in dict.fromkeys((*given, *recorded)):
         if path.startswith("modules."):
             continue
         old, new = recorded.get(path), given.get(path)
         same = old == new
-        if path in named:
-            same = not Path(old).exists() or _read_starts(old) == _read_starts(new)
+        if path in old_files and path in new_files:
+            old_file, new_file = old_files[path], new_files[path]
+            same = not Path(old_file).exists() or _read_starts(old_file) == _read_starts(new_file)
         if not same:
             what = f"{path} is {shown(old)} there, {shown(new)} here"
             raise RunError(f"{folder} holds another experiment: {what}; choose another folder")

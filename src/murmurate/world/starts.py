@@ -92,7 +92,8 @@ class Start(Strategy):
     def prepare(self, world: WorldConfig) -> Start:
         """Returns the start with everything done that needs no randomness, such as reading files.
 
-        Called once, outside of any jit, with the numbers of the world known.
+        Called once, outside of any jit, with the numbers of the world known. A start of a few given configurations
+        returns a `JitteredStart` of them: training then begins at each of them equally often.
 
         Raises:
             InputError: The start is not possible in this world.
