@@ -152,11 +152,13 @@ def main() -> None:
         {json.dumps([row["cell"], row["weights"]]): row for row in files.read_json(record)} if record.exists() else {}
     )
     rows = []
-    for cell in cells(options.episodes, [*map(int, options.robots.split(","))], options.schedulers.split(",")):
-        key = json.dumps([asdict(cell), weights_of(cell)])
+    sizes, schedulers = [*map(int, options.robots.split(","))], options.schedulers.split(",")
+    for condition in conditions(options.episodes, sizes, schedulers):
+        cell, weights = asdict(condition), weights_of(condition)
+        key = json.dumps([cell, weights])
         if key not in measured:
-            measured[key] = {"cell": asdict(cell), "weights": weights_of(cell), "result": measure(cell)}
-            print(cell, measured[key]["result"], flush=True)
+            measured[key] = {"cell": cell, "weights": weights, "result": measure(condition)}
+            print(condition, measured[key]["result"], flush=True)
         rows.append(measured[key])
         files.write_json(record, [*rows, *(row for key, row in measured.items() if row not in rows)])
     before, _, rest = card.read_text(encoding="utf-8").partition(BEGIN)

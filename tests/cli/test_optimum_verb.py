@@ -58,6 +58,26 @@ def test_weights_are_heeded(capsys):
 
 
 @pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        (
+            '[signals.near]\nuse = "compact"\nweight = 3.0\n',
+            "signals.near = 'compact': must be left out: the search knows the signals of C1 and C2 alone",
+        ),
+        (
+            "[valid]\nclose = 0.9\n",
+            "valid.close = 0.9: must be left out: the search knows the paper's valid patterns alone",
+        ),
+        ('objective = "custom"\n[signals.near]\nuse = "compact"\n', "objective = 'custom': must be C1 or C2"),
+    ],
+)
+def test_what_the_search_cannot_take_into_account_is_refused(text, line, tmp_path, capsys):
+    (tmp_path / "own.toml").write_text(text)
+    assert main(["optimum", str(tmp_path / "own.toml"), *SHORT]) == 2
+    assert capsys.readouterr().err == f"murmurate: {line}\n"
+
+
+@pytest.mark.parametrize(
     ("arguments", "message"),
     [
         (["Z"], "experiment = 'Z': must be one of A, B, C, D, E, F"),

@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 
 from murmurate import Policy, PolicyNetwork, Scheduler, Sensing, Shield, Signal, Start
-from murmurate.world import Activation, redraw_overlaps
+from murmurate.world import Activation, read_starts, redraw_overlaps
 
 
 class Calm(Signal):
@@ -40,6 +40,24 @@ class Rings(Start):
             return rings + jax.random.uniform(key, (batch, world.robots, 2), jnp.float32, -1, 1)
 
         return redraw_overlaps(key, propose, world.radius)
+
+
+class Tables(Start):
+    """The configurations of a file, one after another from a given one on.
+
+    Attributes:
+        table: CSV file of starts.
+        file: Number of the first configuration: no file, whatever its name.
+    """
+
+    file_fields = ("table",)
+
+    table: str = eqx.field(default="", static=True)
+    file: int = eqx.field(default=0, static=True)
+
+    def sample(self, key, batch, world):
+        starts = jnp.asarray(read_starts(self.table, world.robots), jnp.float32)
+        return starts[(self.file + jnp.arange(batch)) % len(starts)]
 
 
 class RoundRobin(Scheduler):

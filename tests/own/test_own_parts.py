@@ -12,12 +12,14 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import tomli_w
 
 import murmurate
 from murmurate.cli.main import main
 from murmurate.errors import InputError, RunError
-from murmurate.runs import presets
-from tiny import tiny
+from murmurate.runs import config_io, presets
+from murmurate.runs.folder import RunFolder
+from tiny import TINY, tiny
 
 HERE = Path(__file__).parent
 POLICIES = ("0-base.safetensors", "1-auxiliary.safetensors")
@@ -117,6 +119,63 @@ def test_a_stranger_s_run_imports_nothing(run, tmp_path):
         assert "trust" in ended.stderr, ended.stderr
 
 
+def test_files_that_starts_name_go_along_with_the_run(tmp_path):
+    """Those of nested starts too, in fields of any name; the objective has one's own signals alone."""
+    source, spots = tmp_path / "source", np.array([[[-5, 0], [0, 0], [5, 1]], [[-6, 3], [0, 2], [6, -4]]])
+    (source / "tables").mkdir(parents=True)
+    shutil.copy(HERE / "mine.py", source / "mine.py")
+    for name, points in zip(("one.csv", "tables/two.csv"), spots, strict=True):
+        (source / name).write_text("start,x,y\n" + "".join(f"0,{x},{y}\n" for x, y in points))
+    one = {"use": "file", "file": "one.csv", "noise": 0.1}
+    parts = {
+        "objective": "custom",
+        "signals": {"calm": {"use": "mine:Calm", "weight": 0.5}, "visible": {"use": "visible"}},
+        "start": {"use": "mixture", "first": one, "second": {"use": "mine:Tables", "table": "tables/two.csv"}},
+        "discovery": ONE_POLICY,
+    }
+    (source / "my.toml").write_text(tomli_w.dumps(config_io.merged(TINY, parts)))
+    murmurate.discover(source / "my.toml", out=tmp_path / "run")
+    (source / "tables" / "two.csv").write_text("start,x,y\n0,-6,3\n0,0,2\n0,6,-5\n")
+    with pytest.raises(RunError, match=r"start\.second\.table"):
+        murmurate.discover(source / "my.toml", out=tmp_path / "run", resume=True)
+    shutil.rmtree(source / "tables")
+    (source / "one.csv").unlink()
+    moved = Path(shutil.move(tmp_path / "run", tmp_path / "moved"))
+    run = murmurate.load(moved, trust=True)
+    assert run.experiment.weights(0) == {"calm": 0.5, "visible": 2.0}
+    assert list(run.rollout(2).signals) == ["calm", "visible"]
+    off = np.abs(run.starts(16)[:, None] - spots).max(axis=(2, 3))
+    assert (off.min(axis=1) <= 0.1).all()
+    assert set(off.argmin(axis=1)) == {0, 1}
+    # Nothing but the run's own files is read, and none of them without its checksum.
+    folder, text = RunFolder(moved), (moved / "experiment.toml").read_text()
+    assert {"starts.csv", "starts-2.csv"} < run.manifest["checksums"].keys()
+    (moved / "experiment.toml").write_text(text.replace('"starts-2.csv"', '"../source/mine.py"'))
+    with pytest.raises(
+        RunError, match=r"start\.second\.table = '\.\./source/mine\.py': must be starts\.csv, the run's own"
+    ):
+        folder.experiment(trust=True)
+    (moved / "experiment.toml").write_text(text)
+    (moved / "starts-2.csv").rename(moved / "starts-3.csv")
+    (moved / "starts-2.csv").symlink_to(moved / "starts-3.csv")
+    with pytest.raises(RunError, match=r"starts-2\.csv is a link"):
+        folder.experiment(trust=True)
+    (moved / "starts-2.csv").unlink()
+    shutil.copy(moved / "starts-3.csv", moved / "starts-2.csv")
+    with pytest.raises(RunError, match=r"starts-3\.csv has no checksum"):
+        folder.verify()
+
+
+def test_a_start_that_lists_a_field_that_names_no_file_is_refused():
+    from own.mine import Tables
+
+    class Misspelled(Tables):
+        file_fields = ("tabel",)
+
+    with pytest.raises(InputError, match=r"^start\.tabel = None: must be a field of text: .* lists it in file_fields$"):
+        tiny(start=Misspelled())
+
+
 def test_a_sweep_trains_it_in_processes_of_their_own(experiment, run, tmp_path):
     (tmp_path / "sweep.toml").write_text(f'experiments = ["{experiment}"]\nseeds = [0, 1]\n')
     ended = in_another_process("sweep", tmp_path / "sweep.toml", "--out", tmp_path / "out", "--workers", 1, "--quiet")
@@ -155,7 +214,7 @@ def test_flags_reach_the_fields_of_ones_own_classes(experiment, tmp_path, capsys
         ("signals.calm", "mine:Rings", "this is no subclass of it"),
         ("signals.calm", "mine:not_a_class", "this is no subclass of it"),
         ("signals.calm", "mine:Abstract", "this one lacks __call__"),
-        ("signals.calm", "mine:Flat", "__call__ returns float[3, 2] for 2 configurations, not float32[2]"),
+        ("signals.calm", "mine:Flat", "__call__ returns float32[3, 2] for 2 configurations, not float32[2]"),
         ("signals.calm", "mine:Undefined", "__call__ returns finite numbers"),
         ("signals.calm", "mine:Broken", "AttributeError: 'Configuration' object has no attribute 'colours'"),
         ("signals.calm", "mine:Listed", "a type that a configuration can hold"),

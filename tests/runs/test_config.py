@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from murmurate.errors import InputError, RunError
-from murmurate.runs import config_io, experiment
+from murmurate.runs import config_io, experiment, presets
 from murmurate.runs.experiment import ExperimentConfig
 from tiny import tiny
 
@@ -56,12 +56,23 @@ def test_nothing_is_assumed_that_is_not_said():
 
 
 def test_a_file_of_starts_is_relative_to_the_toml_file(tmp_path):
-    (tmp_path / "my.toml").write_text('[start]\nkind = "file"\nfile = "my.csv"\n')
-    assert experiment.read_toml(tmp_path / "my.toml")["start"]["file"] == str(tmp_path / "my.csv")
-    (tmp_path / "my.toml").write_text('[start]\nkind = "file"\nfile = "/my.csv"\n')
-    assert experiment.read_toml(tmp_path / "my.toml")["start"]["file"] == "/my.csv"
-    (tmp_path / "my.toml").write_text("start = 3\n")
-    assert experiment.read_toml(tmp_path / "my.toml") == {"start": 3}
+    path = tmp_path / "my.toml"
+    path.write_text('[start]\nkind = "file"\nfile = "my.csv"\n')
+    assert presets.resolve(path).start.file == str(tmp_path / "my.csv")
+    # Fields of a file replace those of another one, and the words of a command line are relative to no file.
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "more.toml").write_text('[start]\nfile = "my.csv"\n')
+    overlay = experiment.read_toml(tmp_path / "other" / "more.toml")
+    assert presets.resolve(path, overlay).start.file == str(tmp_path / "other" / "my.csv")
+    assert presets.resolve(path, overlay, {"start": {"file": "my.csv"}}).start.file == "my.csv"
+    path.write_text('[start]\nkind = "file"\nfile = "/my.csv"\n')
+    assert presets.resolve(path).start.file == "/my.csv"
+    path.write_text('[start]\nuse = "mixture"\nshare = 0.25\n[start.second]\nuse = "file"\nfile = "my.csv"\n')
+    start = presets.resolve(path).start
+    assert start.second.file == str(tmp_path / "my.csv")
+    assert type(start.second.file) is str
+    path.write_text("start = 3\n")
+    assert experiment.read_toml(path) == {"start": 3}
 
 
 def test_a_damaged_configuration_is_one_line(tmp_path):

@@ -34,6 +34,17 @@ def test_a_grid_takes_every_combination_and_names_what_differs(write_sweep):
     assert "one-central-seed5-base.ppo.clip=0.1-world.max_speed=0.5" in grid.runs
 
 
+def test_files_of_starts_are_relative_to_the_sweep(write_sweep):
+    path = write_sweep(
+        'experiments = ["one.toml"]\nseeds = 1\n[grid]\n'
+        'start = [{ use = "file", file = "more/a.csv" }, { use = "file", file = "more/a.csv", noise = 0.0 }]\n'
+    )
+    (path.parent / "more").mkdir()
+    (path.parent / "more" / "a.csv").write_text("start,x,y\n0,-5,0\n0,0,0\n0,5,1\n")
+    found = [(run.start.file, run.start.noise) for run in Grid.from_toml(path).runs.values()]
+    assert found == [(str(path.parent / "more" / "a.csv"), noise) for noise in (2.0, 0.0)]
+
+
 def test_blocks_have_what_is_common_and_what_is_their_own(write_sweep):
     text = """
 seeds = 1

@@ -143,6 +143,32 @@ def test_what_is_unknown_is_refused(data, learner, line):
     assert str(caught.value).startswith(line)
 
 
+@pytest.mark.parametrize("policy", ["equivariant", "central", "local"])
+@pytest.mark.parametrize("from_file", [False, True])
+def test_an_objective_of_one_s_own_signals_alone(tmp_path, policy, from_file):
+    """It has the preset's weights of the signals that it has, and no others."""
+    (tmp_path / "my.toml").write_text("")
+    word = tmp_path / "my.toml" if from_file else "A"
+    data = {
+        "objective": "custom",
+        "policy": policy,
+        "signals": {"near": {"use": "compact", "weight": 0.5}, "visible": {"use": "visible"}},
+    }
+    config, usual = presets.resolve(word, data), presets.resolve(word, {"policy": policy})
+    for index in range(2):
+        assert config.weights(index) == {"near": 0.5, "visible": usual.weights(index)["visible"]}
+    assert config.objective_signals.keys() == {"near", "visible"}
+    assert replace(config.base, weights=usual.base.weights) == usual.base
+    own = presets.resolve(word, data, {"auxiliary": {"weights": {"near": 3.0}}})
+    assert own.weights(1)["near"] == 3.0
+    gathered = presets.resolve(word, data, {"signals": {"close": {}}})
+    assert gathered.weights(1)["close"] == usual.auxiliary.weights["gathering"]
+    for name in ("gathering", "safety"):
+        line = f"^base.weights.{name} = 1.0: must be for a signal of the objective \\(near, visible\\)$"
+        with pytest.raises(InputError, match=line):
+            presets.resolve(word, data, {"base": {"weights": {name: 1.0}}})
+
+
 @pytest.mark.parametrize("word", ["G", "c", "", "experiment.toml", "."])
 def test_unknown_experiments(word):
     with pytest.raises(InputError, match=r"(one of A, B, C, D, E, F, or a|an existing) TOML file"):

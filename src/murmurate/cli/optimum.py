@@ -34,6 +34,11 @@ def run(argv: Sequence[str]) -> int:
     formations = presets.resolve(word or "C")
     if formations.objective == "custom":
         raise InputError("objective", formations.objective, "C1 or C2")
+    # Formations are polished by formulas of the paper's signals.
+    for name, signal in formations.signals.items():
+        raise InputError(f"signals.{name}", signal.name, "left out: the search knows the signals of C1 and C2 alone")
+    for name, least in formations.valid.items():
+        raise InputError(f"valid.{name}", least, "left out: the search knows the paper's valid patterns alone")
     config = OptimumConfig(formations.world, formations.objective)
     text = "Searches for the best formation in the world of an experiment; without any word, lists the best known."
     parser = Parser("optimum", "[EXPERIMENT]", text, EVERYDAY)

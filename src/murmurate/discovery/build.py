@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -15,9 +16,11 @@ from murmurate import prng
 from murmurate.discovery.cascade import Cascade
 from murmurate.discovery.problem import Problem, check_problem
 from murmurate.errors import InputError
+from murmurate.learning import LEARNERS, PPOConfig
 from murmurate.policies import ShieldWrapper
 from murmurate.registry import Strategy
 from murmurate.world import (
+    Clock,
     Configuration,
     DeadZone,
     LocalObservation,
@@ -31,6 +34,7 @@ from murmurate.world import (
     draw_starts,
     with_array_leaves,
 )
+from murmurate.world.randomness import draw_each
 
 __all__ = ["build_cascade", "build_environment", "build_networks", "build_world", "check_parts", "policy_templates"]
 
@@ -107,17 +111,17 @@ def check_parts(problem: Problem) -> None:
     """Checks that the strategies that are not of this package return what they should, once and before any training.
 
     Raises:
-        InputError: One cannot be evaluated, returns another shape or type, or numbers that are not finite; exploration
-            is scheduled for a policy without a spread to schedule; or a signal that gradients are to improve has none.
+        InputError: One cannot be evaluated, returns another shape or type, or numbers that are not finite; ppo is to
+            schedule the exploration of a policy without a spread; or a signal that gradients are to improve has none.
     """
     check_problem(problem)
     world = build_world(problem)
     for index in range(min(2, problem.discovery.max_policies)):
-        if problem.stage(index).learner == "gradients":
+        if LEARNERS[problem.stage(index).learner].needs_gradients:
             _check_gradients(problem, index, world)
     robots, batch = problem.world.robots, 2
+    each, moves, whole = _floats(robots, batch), _floats(robots, 2, batch), _floats(batch)
     positions = jnp.moveaxis(jnp.asarray(draw_starts(world.start, prng.key(problem.seed), batch, world.config)), 0, -1)
-    each, pairs, whole = (robots, batch), (robots, robots, batch), (batch,)
     for name, signal in world.objective.signals.items():
         if signal.is_foreign():
 
@@ -125,7 +129,7 @@ def check_parts(problem: Problem) -> None:
                 configuration = Configuration(positions, world.config)
                 return signal(configuration), signal.value(configuration), signal.credit(configuration)
 
-            expected = {"__call__": each, "value": whole, "credit": each}
+            expected = {"__call__ returns": each, "value returns": whole, "credit returns": each}
             _check(f"signals.{name}", signal, measure, expected)
     env = build_environment(problem, world)
     if problem.sensing.is_foreign() and problem.policy.perceives:
@@ -133,13 +137,10 @@ def check_parts(problem: Problem) -> None:
         def perceive() -> tuple[Any]:
             return (problem.sensing.perceived(Configuration(positions, world.config)),)
 
-        _check("sensing", problem.sensing, perceive, {"perceived": pairs}, jnp.bool_)
+        pairs = jax.ShapeDtypeStruct((robots, robots, batch), jnp.bool_)
+        _check("sensing", problem.sensing, perceive, {"perceived returns": pairs})
     if problem.scheduler.is_foreign():
-
-        def schedule() -> tuple[Any]:
-            return (env.step(env.state(positions), jnp.zeros_like(positions))[0].positions,)
-
-        _check("scheduler", problem.scheduler, schedule, {"activate": (robots, 2, batch)})
+        _check_scheduler(problem, positions)
     if problem.shield.is_foreign():
 
         def shorten() -> tuple[Any]:
@@ -147,7 +148,7 @@ def check_parts(problem: Problem) -> None:
                 problem.prepared_shield(jnp.zeros_like(positions), env.observe(env.state(positions)), problem.world),
             )
 
-        _check("shield", problem.shield, shorten, {"__call__": (robots, 2, batch)})
+        _check("shield", problem.shield, shorten, {"__call__ returns": moves})
     if problem.policy.is_foreign():
         _check_policy(problem, env, positions)
 
@@ -194,21 +195,61 @@ def _check_policy(problem: Problem, env: World | Wrapper, positions: Float[Array
         action = policy.distribution(observation).sample(prng.key(problem.seed))
         return velocities, action, policy.distribution(observation).log_prob(action), value(observation)
 
-    actions = (robots if problem.policy.credit == "robots" else 1, batch)
-    velocities = (robots, 2, batch)
-    expected = {"__call__": velocities, "sample": velocities, "log_prob": actions, "the value network": actions}
-    _check("policy", problem.policy, act, expected)
+    moves, actions = _floats(robots, 2, batch), _floats(robots if problem.policy.credit == "robots" else 1, batch)
+    expected = {"__call__": moves, "sample": moves, "log_prob": actions, "the value network": actions}
+    _check("policy", problem.policy, act, {f"{what} returns": form for what, form in expected.items()})
     policy = policy_templates(problem, 1)[0]
-    for index, name in enumerate(("base", "auxiliary")):
-        if problem.stage(index).ppo.exploration == "scheduled" and not hasattr(policy, "log_std"):
-            raise InputError(f"{name}.ppo.exploration", "scheduled", "learned: the policy network has no log_std")
+    for index in range(min(2, problem.discovery.max_policies)):
+        numbers = problem.stage(index).learning
+        scheduled = isinstance(numbers, PPOConfig) and numbers.exploration == "scheduled"
+        if scheduled and not hasattr(policy, "log_std"):
+            section = "base" if index == 0 else "auxiliary"
+            raise InputError(f"{section}.ppo.exploration", "scheduled", "learned: the policy network has no log_std")
+
+
+def _check_scheduler(problem: Problem, positions: Float[Array, "robots 2 batch"]) -> None:
+    """Checks what the scheduler decides at the first step of an episode."""
+    robots, _, batch = positions.shape
+    clock = Clock(jnp.zeros(batch, jnp.int32), jnp.zeros((robots, batch), jnp.int32), positions)
+
+    def activate() -> tuple[Any, ...]:
+        activation = draw_each(problem.scheduler.activate, jax.random.split(prng.key(problem.seed), batch), clock)
+        return tuple(getattr(activation, name) for name in limits)
+
+    limits: dict[str, tuple[Any, float, float]] = {
+        "active": (jnp.bool_, 0, 1),
+        "pause": (jnp.int32, 0, math.inf),
+        "delay": (jnp.int32, 0, math.inf),
+        "move_steps": (jnp.int32, 1, math.inf),
+        "completion": (jnp.float32, 0, 1),
+    }
+    expected = {
+        f"activate returns {name}": jax.ShapeDtypeStruct((robots, batch), dtype)
+        for name, (dtype, _, _) in limits.items()
+    }
+    _check("scheduler", problem.scheduler, activate, expected, [(low, high) for _, low, high in limits.values()])
+
+
+def _floats(*shape: int) -> jax.ShapeDtypeStruct:
+    return jax.ShapeDtypeStruct(shape, jnp.float32)
 
 
 def _check(
-    field: str, part: Strategy, function: Callable[[], tuple[Any, ...]], expected: Mapping[str, tuple], kind: Any = None
+    field: str,
+    part: Strategy,
+    function: Callable[[], tuple[Any, ...]],
+    expected: Mapping[str, jax.ShapeDtypeStruct],
+    limits: Sequence[tuple[float, float]] | None = None,
 ) -> None:
-    """Evaluates a strategy and compares what it returns with the expected shapes and kind of numbers."""
-    kind = jnp.floating if kind is None else kind
+    """Evaluates a strategy and checks what it returns.
+
+    Args:
+        field: The field that chooses it, for messages.
+        part: The strategy.
+        function: Evaluates it.
+        expected: Shape and type of each thing that it returns, by what messages say of it.
+        limits: The least and the greatest value of each; by default any finite number is allowed.
+    """
     try:
         result = eqx.filter_jit(function)()
     except InputError:
@@ -216,14 +257,18 @@ def _check(
     except Exception as error:  # a user's class may raise anything
         reason = " ".join(f"{type(error).__name__}: {error}".split())[:300]
         raise InputError(field, part.name, f"a class that can be evaluated ({reason})") from None
-    for (what, shape), value in zip(expected.items(), result, strict=True):
+    limits = [(-math.inf, math.inf)] * len(expected) if limits is None else limits
+    for (what, form), (low, high), value in zip(expected.items(), limits, result, strict=True):
         have = f"{getattr(value, 'dtype', type(value).__name__)}{list(getattr(value, 'shape', ()))}"
-        name = "float" if kind is jnp.floating else "bool"
-        wanted = f"a class whose {what} returns {name}{list(shape)} for {shape[-1]} configurations, not {have}"
-        if getattr(value, "shape", None) != shape or not jnp.issubdtype(value.dtype, kind):
-            raise InputError(field, part.name, wanted)
-        if kind is jnp.floating and not np.isfinite(np.asarray(value)).all():
-            raise InputError(field, part.name, f"a class whose {what} returns finite numbers")
+        if (getattr(value, "shape", None), getattr(value, "dtype", None)) != (form.shape, form.dtype):
+            count, wanted = form.shape[-1], f"{form.dtype}{list(form.shape)}"
+            raise InputError(field, part.name, f"a class whose {what} {wanted} for {count} configurations, not {have}")
+        values = np.asarray(value)
+        if not np.isfinite(values).all():
+            raise InputError(field, part.name, f"a class whose {what} finite numbers")
+        if (values < low).any() or (values > high).any():
+            allowed = f"of at least {low:g}" + (f" and at most {high:g}" if math.isfinite(high) else "")
+            raise InputError(field, part.name, f"a class whose {what} {allowed}")
 
 
 @eqx.filter_jit

@@ -25,12 +25,13 @@ from murmurate.world import (
     scaled_to,
 )
 
-__all__ = ["GATHERING", "DiscoveryConfig", "Problem", "StageConfig"]
+__all__ = ["GATHERING", "GATHERING_SIGNALS", "DiscoveryConfig", "Problem", "StageConfig"]
 
 ProblemT = TypeVar("ProblemT", bound="Problem")
 
 GATHERING = "gathering"
-"""In weights, the gathering signal of either objective: close (C1) or nclose (C2)."""
+GATHERING_SIGNALS = ("close", "nclose")
+"""In weights, `gathering` stands for the gathering signal of either objective: close (C1) or nclose (C2)."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +96,7 @@ class StageConfig:
     @property
     def steps_per_update(self) -> int:
         """Steps of the environment in one update."""
-        repeat = self.repeat if self.learner == "ppo" else 1
+        repeat = self.repeat if LEARNERS[self.learner].repeats_actions else 1
         return self.learning.worlds * self.learning.steps * repeat
 
     @property
@@ -214,8 +215,8 @@ class Problem:
 
     @property
     def landmark(self) -> bool:
-        """Whether the gathering point is known: whether the objective counts closeness to the origin."""
-        return "close" in self.signal_names
+        """Whether the gathering point is known: whether a signal of the objective is measured from it."""
+        return any(signal.needs_landmark for signal in self.objective_signals.values())
 
     def stage(self, index: int) -> StageConfig:
         """Returns how the policy at a place in the list is trained."""
@@ -225,7 +226,7 @@ class Problem:
         """Returns the weights of the signals in the reward of the policy at a place in the list."""
         given, weights = self.stage(index).weights, {}
         for name, signal in self.objective_signals.items():
-            gathering = given.get(GATHERING) if name in ("close", "nclose") else None
+            gathering = given.get(GATHERING) if name in GATHERING_SIGNALS else None
             weights[name] = given.get(name, signal.weight if gathering is None else gathering)
         return weights
 

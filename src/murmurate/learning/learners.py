@@ -31,17 +31,27 @@ class Learner:
         shape: Returns those that cannot.
         train_chunk: Runs some updates: see `ppo.train_chunk`.
         prepare: Returns a policy network as it is before the first update, by the configuration.
+        repeats_actions: Whether each action is kept up for the steps that a stage's `repeat` says.
+        needs_gradients: Whether it improves signals by their gradients.
     """
 
     hyperparameters: Callable[[Any], Any]
     shape: Callable[[Any], Any]
     train_chunk: Callable[..., tuple[Any, dict[str, Any]]]
     prepare: Callable[[Any, Any], Any] = _as_it_is
+    repeats_actions: bool = True
+    needs_gradients: bool = False
 
 
 LEARNERS: dict[str, Learner] = {
     "ppo": Learner(Hyperparameters.from_config, Shape.from_config, ppo.train_chunk, _with_spread),
-    "gradients": Learner(GradientHyperparameters.from_config, Segment.from_config, gradients.train_chunk),
+    "gradients": Learner(
+        GradientHyperparameters.from_config,
+        Segment.from_config,
+        gradients.train_chunk,
+        repeats_actions=False,
+        needs_gradients=True,
+    ),
 }
 """Proximal policy optimisation, which discovers, and the gradient through the world, which refines. The numbers of each
 are a field of a stage's configuration that has the learner's name."""

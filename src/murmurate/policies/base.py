@@ -47,6 +47,11 @@ class Policy(Strategy):
     def __check_init__(self) -> None:
         check_choice("credit", self.credit, get_args(Credit))
 
+    @property
+    def needs_walls(self) -> bool:
+        """Whether robots act on the walls that they perceive, so that their sensing has to show them."""
+        return False
+
     @abstractmethod
     def networks(self, world: WorldConfig, landmark: bool, key: PRNGKeyArray) -> tuple[Any, Any]:
         """Builds a policy network and its value network, two separate networks as in the paper's Algorithm 1.

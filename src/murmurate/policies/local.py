@@ -74,6 +74,11 @@ class LocalPolicy(SharedPolicy):
 
     perceives: ClassVar[bool] = True
 
+    @property
+    def needs_walls(self) -> bool:
+        """Whether `walls` says so."""
+        return self.walls
+
     def networks(self, world: WorldConfig, landmark: bool, key: PRNGKeyArray) -> tuple[LocalNetwork, LocalValue]:
         """Builds the two networks."""
         first, second = jax.random.split(key)

@@ -27,6 +27,7 @@ from murmurate import untrusted
 from murmurate.errors import InputError, check_path, one_line, suggestion
 from murmurate.registry import Importer, Strategy
 from murmurate.runs import files
+from murmurate.world import Start
 
 __all__ = [
     "OLD_USE",
@@ -34,9 +35,11 @@ __all__ = [
     "Leaf",
     "described",
     "dump_toml",
+    "file_fields",
     "from_dict",
     "leaves",
     "load_toml",
+    "located",
     "merged",
     "nested",
     "optional",
@@ -99,6 +102,25 @@ class Leaf:
     kind: Any
     value: Any
     help: str
+
+
+class LocatedText(str):
+    """Text of a file, with the folder that a path in it is relative to."""
+
+    folder: Path
+
+
+def located(data: Any, folder: Path) -> Any:
+    """Returns what a file in a folder holds, for `replaced` to find the files that fields of starts name."""
+    if isinstance(data, Mapping):
+        return {name: located(value, folder) for name, value in data.items()}
+    if isinstance(data, list):
+        return [located(value, folder) for value in data]
+    if not isinstance(data, str):
+        return data
+    text = LocatedText(data)
+    text.folder = folder
+    return text
 
 
 def to_dict(config: Any) -> dict[str, Any]:
@@ -211,6 +233,23 @@ def strategies(config: Any, where: str = "") -> Iterator[tuple[str, Strategy]]:
                 yield from strategies(entry, _join(path, key))
         elif table is None and _is_section(kind):
             yield from strategies(value, path)
+
+
+def file_fields(start: Start, where: str = "start") -> dict[str, str]:
+    """Returns the files that a start, and the starts in it, name by the dotted paths of their fields.
+
+    Raises:
+        InputError: A class lists a field that it does not have, or that holds no text.
+    """
+    found: dict[str, str] = {}
+    for path, part in strategies(start, where):
+        for name in part.file_fields if isinstance(part, Start) else ():
+            value = getattr(part, name, None)
+            if not isinstance(value, str):
+                raise InputError(_join(path, name), value, f"a field of text: {part.name} lists it in file_fields")
+            if value:
+                found[_join(path, name)] = value
+    return found
 
 
 def parse(kind: Any, text: str, path: str) -> Any:
@@ -336,6 +375,8 @@ def _build(cls: Any, current: Any, data: Any, where: str, importer: Importer) ->
             continue
         if name not in kinds:
             raise InputError(path, value, f"a field of {_known(cls, where)}{suggestion(name, kinds)}")
+        if issubclass(cls, Start) and name in cls.file_fields and isinstance(value, LocatedText) and value:
+            value = str(value.folder / value)
         values[name] = _field(kinds[name], getattr(current, name, None), value, path, importer)
     try:
         if current is not None:
@@ -409,6 +450,7 @@ def _known(cls: Any, where: str) -> str:
 def _converted(kind: Any, value: Any, path: str) -> Any:
     """Returns the value as the leaf's type wants it: numbers for float fields become floats, lists become tuples."""
     inner, or_none = optional(kind)
+    value = str(value) if isinstance(value, LocatedText) else value
     if or_none and value in (None, NONE):
         return None
     if get_origin(inner) is tuple and isinstance(value, list | tuple):

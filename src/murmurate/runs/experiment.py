@@ -11,12 +11,11 @@ from typing import Any, Literal
 
 from murmurate import prng, untrusted
 from murmurate.discovery import MAX_REST_STEPS, Problem
-from murmurate.discovery.problem import GATHERING
+from murmurate.discovery.problem import GATHERING, GATHERING_SIGNALS
 from murmurate.errors import InputError, RunError, check_choice, check_number, check_path, check_type, shown
-from murmurate.policies import LocalPolicy
 from murmurate.registry import Importer, source_folder
 from murmurate.runs import config_io, files
-from murmurate.world import OBJECTIVES, FileStart, scaled_to
+from murmurate.world import OBJECTIVES, Start, scaled_to
 from murmurate.world.start_files import MAX_STARTS_BYTES
 
 __all__ = [
@@ -25,6 +24,7 @@ __all__ = [
     "ExperimentConfig",
     "check_same",
     "check_seed",
+    "is_start_file",
     "load",
     "make_importer",
     "read_toml",
@@ -37,7 +37,9 @@ _NOT_WRITTEN = {"rest": {"dead_zone": 0.0}}
 """What a run was discovered with whose experiment.toml does not say it: that of version 0.1.0 knew no dead zone."""
 
 STARTS = "starts.csv"
-"""A run that begins at given positions keeps its own copy of them under this name."""
+"""A run keeps its own copy of the file that its start names under this name, and further ones as starts-2.csv, ..."""
+
+_START_FILE = re.compile(r"starts(-\d{1,3})?(\.\w{1,16})?")
 
 
 @dataclass(frozen=True)
@@ -62,6 +64,7 @@ class ExperimentConfig(Problem):
         check_number("rest.max_steps", self.rest.max_steps, 1, MAX_REST_STEPS, integer=True)
         if not re.fullmatch(r"\w[\w .+-]{0,63}", self.name):
             raise InputError("name", self.name, "up to 64 letters, digits, spaces and . + - _")
+        config_io.file_fields(self.start)  # refuses a start whose file_fields are none
         self._check_signals()
         self._check_sensing()
         self._check_dead_zone()
@@ -81,7 +84,7 @@ class ExperimentConfig(Problem):
                 allowed = f"a name of letters, digits and _, neither {GATHERING} nor total"
                 raise InputError("signals", name, allowed)
         names = self.signal_names
-        gathering = [GATHERING] if {"close", "nclose"} & set(names) else []
+        gathering = [GATHERING] if set(GATHERING_SIGNALS) & set(names) else []
         for section, table, extra in (
             ("base.weights", self.base.weights, gathering),
             ("auxiliary.weights", self.auxiliary.weights, gathering),
@@ -120,10 +123,12 @@ class ExperimentConfig(Problem):
                 f"{standard.get(name, 'left out')}: with the policy {self.policy.name} robots act on all positions"
             )
             raise InputError(f"sensing.{name}", given[name], f"{allowed}; to act on their own view choose policy local")
-        if isinstance(self.policy, LocalPolicy) and self.policy.walls and not self.sensing.walls:
-            raise InputError("sensing.walls", False, "true with policy.walls: robots act on walls that they perceive")
+        if self.policy.needs_walls and not self.sensing.walls:
+            reason = f"true: with this policy ({self.policy.name}) robots act on the walls that they perceive"
+            raise InputError("sensing.walls", False, reason)
         if self.landmark and not self.sensing.landmark:
-            reason = "true with objective C1: in frames of their own, robots find a given point only by a landmark"
+            signal = next(name for name, signal in self.objective_signals.items() if signal.needs_landmark)
+            reason = f"true with the signal {signal}: in frames of their own, robots find a point only by a landmark"
             raise InputError("sensing.landmark", False, reason)
 
     def _check_sizes(self) -> None:
@@ -166,14 +171,12 @@ def read_toml(path: str | Path) -> dict[str, Any]:
         InputError: The file is not valid TOML.
         OSError: The file cannot be read.
     """
-    return _with_absolute_paths(config_io.load_toml(path), Path(path).parent)
+    folder = Path(path).parent
+    return config_io.located(_with_module_folders(config_io.load_toml(path), folder), folder)
 
 
-def _with_absolute_paths(data: dict[str, Any], folder: Path) -> dict[str, Any]:
-    start, modules = data.get("start"), data.get("modules")
-    file = start.get("file") if isinstance(start, Mapping) else None
-    if file and isinstance(file, str):
-        data = config_io.merged(data, {"start": {"file": str(folder / file)}})
+def _with_module_folders(data: dict[str, Any], folder: Path) -> dict[str, Any]:
+    modules = data.get("modules")
     if isinstance(modules, Mapping):
         absolute = {
             name: os.path.realpath(folder / value)
@@ -199,26 +202,44 @@ def make_importer(data: Mapping[str, Any], folder: str | Path | None = None, tru
 
 
 def save(config: ExperimentConfig, folder: str | Path) -> None:
-    """Writes a configuration, every field of it, and the positions that it begins at, if it names a file of them.
+    """Writes a configuration, every field of it, and copies of the files that its start names.
 
     Raises:
         RunError: A file cannot be written.
     """
     check_type("config", config, ExperimentConfig, "an experiment")
     check_path("folder", folder)
-    folder, start = Path(folder), config.start
+    folder = Path(folder)
     modules = dict(config.modules)
     for _, strategy in config_io.strategies(config):
         source = source_folder(type(strategy)) if strategy.is_foreign() else None
         if source is not None:
             modules.setdefault(strategy.name.partition(":")[0].partition(".")[0], source)
-    config = replace(config, modules=modules)
-    if isinstance(start, FileStart):
-        config = replace(config, start=replace(start, file=STARTS))
+    named, copies = config_io.file_fields(config.start), {}
+    for file in named.values():
+        copies.setdefault(file, _copy_name(len(copies) + 1, file))
     # The starts first: they may be this very folder's, and a run without them cannot be read.
-    if isinstance(start, FileStart):
-        files.write_bytes(files.inside(folder, STARTS), _read_starts(start.file))
+    contents = {copies[file]: _read_starts(file) for file in copies}
+    for name, content in contents.items():
+        files.write_bytes(files.inside(folder, name), content)
+    config = replace(_with_files(config, {path: copies[file] for path, file in named.items()}), modules=modules)
     files.write_text(files.inside(folder, EXPERIMENT), config_io.dump_toml(config))
+
+
+def is_start_file(name: str) -> bool:
+    """Returns whether a run may have its own copy of a file that its start names under this name."""
+    return _START_FILE.fullmatch(name) is not None
+
+
+def _copy_name(number: int, file: str) -> str:
+    """Returns what a run calls its own copy of a file that its start names."""
+    name = f"{'starts' if number == 1 else f'starts-{number}'}{Path(file).suffix}"
+    return name if is_start_file(name) else Path(name).stem
+
+
+def _with_files(config: ExperimentConfig, named: Mapping[str, str]) -> ExperimentConfig:
+    """Returns an experiment whose start names other files, by the dotted paths of its fields."""
+    return config_io.replaced(config, config_io.nested(named)) if named else config
 
 
 def _read_starts(path: str) -> bytes:
@@ -240,27 +261,22 @@ def load(folder: str | Path, trusted: bool = False) -> ExperimentConfig:
     path = Path(folder) / EXPERIMENT
     try:
         data = config_io.load_toml(files.inside(folder, EXPERIMENT), follow=False)
-        _check_own_starts(data, Path(folder))
-        data = config_io.merged(_NOT_WRITTEN, _with_absolute_paths(data, Path(folder)))
-        return config_io.from_dict(ExperimentConfig, data, importer=make_importer(data, trusted=trusted))
+        data = config_io.merged(_NOT_WRITTEN, _with_module_folders(data, Path(folder)))
+        config = config_io.from_dict(ExperimentConfig, data, importer=make_importer(data, trusted=trusted))
+        return _with_files(config, _own_files(config.start, Path(folder)))
     except InputError as error:
         raise RunError(f"{path}: {error}") from None
     except OSError as error:
         raise RunError(f"cannot read {path}: {error.strerror or error}") from None
 
 
-def _check_own_starts(data: Any, folder: Path, where: str = "start") -> None:
-    """Checks that the starts of a run, those of mixtures too, are its own file: any other may be anywhere."""
-    start = data.get("start") if where == "start" else data
-    if not isinstance(start, Mapping):
-        return
-    file = start.get("file")
-    if file and file != STARTS:
-        raise InputError(f"{where}.file", file, f"{STARTS}, the run's own file of starts")
-    if file:
-        files.inside(folder, STARTS)
-    for name in ("first", "second"):
-        _check_own_starts(start.get(name), folder, f"{where}.{name}")
+def _own_files(start: Start, folder: Path) -> dict[str, str]:
+    """Returns the files of a run's start, which are the run's own: any other may be anywhere."""
+    named = config_io.file_fields(start)
+    for path, file in named.items():
+        if not is_start_file(file):
+            raise InputError(path, file, f"{STARTS}, the run's own file of starts")
+    return {path: str(files.inside(folder, file)) for path, file in named.items()}
 
 
 def check_same(config: ExperimentConfig, folder: str | Path) -> None:
@@ -270,15 +286,18 @@ def check_same(config: ExperimentConfig, folder: str | Path) -> None:
         RunError: It holds another; the message names the first field that differs.
     """
     # Nothing that only the folder names is imported: it is not trusted.
-    recorded = {leaf.path: leaf.value for leaf in config_io.leaves(load(folder))}
+    there = load(folder)
+    recorded = {leaf.path: leaf.value for leaf in config_io.leaves(there)}
     given = {leaf.path: leaf.value for leaf in config_io.leaves(config)}
+    old_files, new_files = config_io.file_fields(there.start), config_io.file_fields(config.start)
     for path in dict.fromkeys((*given, *recorded)):
         if path.startswith("modules."):
             continue
         old, new = recorded.get(path), given.get(path)
         same = old == new
-        if path == "start.file" and old and new:
-            same = not Path(old).exists() or _read_starts(old) == _read_starts(new)
+        if path in old_files and path in new_files:
+            old_file, new_file = old_files[path], new_files[path]
+            same = not Path(old_file).exists() or _read_starts(old_file) == _read_starts(new_file)
         if not same:
             what = f"{path} is {shown(old)} there, {shown(new)} here"
             raise RunError(f"{folder} holds another experiment: {what}; choose another folder")

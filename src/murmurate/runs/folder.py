@@ -2,7 +2,7 @@
 
 `RunFolder` is the only reader and writer of a run folder:
 
-    experiment.toml      the configuration, every field of it (starts.csv beside it where it names a file of starts)
+    experiment.toml      the configuration, every field of it (beside it starts.csv, ..., where its start names files)
     manifest.json        versions, machine, results in short, checksums; written last: it marks a finished run
     policies/            0-base.safetensors, 1-auxiliary.safetensors, ...
     metrics.jsonl        a row for each update
@@ -13,7 +13,7 @@
     checkpoint/          while the run is being trained
 
 Every file is replaced whole, and no file is ever executed: a run from a stranger is safe to open. Links are not
-followed, and the manifest has the checksums of all files, whose names are a fixed set.
+followed, and the manifest has the checksums of all files, whose names are those above.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from murmurate.errors import MAX_INTEGER, RunError, check_path, shown
 from murmurate.representation import short_repr
 from murmurate.runs import experiment as configuration
 from murmurate.runs import files
-from murmurate.runs.experiment import EXPERIMENT, STARTS, ExperimentConfig
+from murmurate.runs.experiment import EXPERIMENT, ExperimentConfig, is_start_file
 from murmurate.types import Trajectories
 
 __all__ = ["MAX_EPISODES", "Checkpoint", "FolderState", "RunFolder", "describe_starts", "is_fresh", "trained_checksums"]
@@ -140,6 +140,11 @@ class RunFolder:
     def _inside(self, name: str) -> Path:
         """Returns the path of one of the run's files or folders, which is no link."""
         return files.inside(self.path, name)
+
+    def _names(self) -> list[str]:
+        """Returns the names of what the folder holds."""
+        with files.os_errors_as_run_errors(f"cannot read {self.path}"):
+            return os.listdir(self.path)
 
     @property
     def evaluation_files(self) -> tuple[Path, Path]:
@@ -257,7 +262,7 @@ class RunFolder:
         for name, (check, what) in _MANIFEST_FIELDS.items():
             if name in manifest and not check(manifest[name]):
                 raise RunError(f"{path} has {name} = {shown(manifest[name])}, which {what}")
-        for name in sums.keys() - {*_trained_files(len(names)), METRICS, *_EVALUATED}:
+        for name in sums.keys() - {*_trained_files(len(names), sums), METRICS, *_EVALUATED}:
             raise RunError(f"{path} has a checksum of {shown(name)}, which is no file of a run")
         return manifest
 
@@ -271,7 +276,8 @@ class RunFolder:
         Returns:
             Its contents, as `manifest` returns them.
         """
-        names = [name for name in (*_trained_files(policies), METRICS, *_EVALUATED) if self._inside(name).exists()]
+        trained = _trained_files(policies, self._names())
+        names = [name for name in (*trained, METRICS, *_EVALUATED) if self._inside(name).exists()]
         contents = {
             **manifest,
             "format": FORMAT,
@@ -296,8 +302,9 @@ class RunFolder:
         manifest = self.manifest()
         for name in trained_checksums(manifest):
             self._check(name, manifest)
-        if STARTS not in manifest["checksums"] and os.path.lexists(self.path / STARTS):
-            raise RunError(f"{self.path / STARTS} has no checksum in {MANIFEST}")
+        for name in self._names():
+            if is_start_file(name) and name not in manifest["checksums"]:
+                raise RunError(f"{self.path / name} has no checksum in {MANIFEST}")
         return manifest
 
     def is_whole(self) -> bool:
@@ -673,15 +680,15 @@ def _policy_files(count: int) -> list[str]:
     return [f"policies/{index}-{policy_name(index)}.safetensors" for index in range(count)]
 
 
-def _trained_files(count: int) -> list[str]:
-    """Returns the files that the training of `count` policies ends in; the starts are there only if they are a file."""
-    return [EXPERIMENT, STARTS, *_policy_files(count)]
+def _trained_files(count: int, names: Iterable[str]) -> list[str]:
+    """Returns the files that the training of `count` policies ends in; of the given names, those of files of starts."""
+    return [EXPERIMENT, *sorted(filter(is_start_file, names)), *_policy_files(count)]
 
 
 def trained_checksums(manifest: Mapping[str, Any]) -> dict[str, str]:
     """Returns the checksums of the configuration and the policies, whatever these were evaluated on."""
     sums = manifest["checksums"]
-    return {name: sums[name] for name in _trained_files(len(manifest["policies"])) if name in sums}
+    return {name: sums[name] for name in _trained_files(len(manifest["policies"]), sums) if name in sums}
 
 
 def _is_metrics(row: Mapping[str, Any]) -> bool:

@@ -366,14 +366,9 @@ def _fields(data: Mapping[str, Any], table: str, folder: Path, where: str) -> di
     fields = data.get(table, {})
     if not isinstance(fields, Mapping):
         raise InputError(f"{where}{table}", fields, "a table of fields of the experiment")
-    values = dict(_flat(fields))
+    values = dict(_flat(config_io.located(fields, folder)))
     if "seed" in values:
         raise InputError(f"{where}{table}.seed", values["seed"], "left out: seeds says which")
-    for path, value in values.items():
-        if path == "start.file":
-            files = value if isinstance(value, list) else [value]
-            files = [str(folder / file) if file and isinstance(file, str) else file for file in files]
-            values[path] = files if isinstance(value, list) else files[0]
     return values
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from murmurate.discovery import DiscoveryConfig, RestRule, StageConfig
+from murmurate.discovery.problem import GATHERING, GATHERING_SIGNALS
 from murmurate.errors import check_choice
 from murmurate.learning import PPOConfig
 from murmurate.policies import CentralPolicy, EquivariantPolicy, LocalPolicy, Policy
@@ -195,13 +196,15 @@ def resolve(
     objective = data.get("objective")
     if objective is not None:
         check_choice("objective", objective, tuple(OBJECTIVES))
-    if objective == "custom":
-        # An objective without any signal is refused, so the user's signals are part of the first configuration already.
-        objective = None
+    # The preset has the experiment's own objective where the user has signals alone: without any, it would be refused.
+    given = None if objective == "custom" else objective
     if named:
-        return config_io.replaced(preset(str(experiment), chosen, objective), data, importer=importer)
-    data.setdefault("name", Path(experiment).stem)
-    base = _experiment("unnamed", objective or "C1", WorldConfig(), ScatteredStart(), chosen)
+        base = preset(str(experiment), chosen, given)
+    else:
+        data.setdefault("name", Path(experiment).stem)
+        base = _experiment("unnamed", given or "C1", WorldConfig(), ScatteredStart(), chosen)
+    if objective == "custom":
+        base = _weighing(base, data.get("signals"))
     return config_io.replaced(base, data, importer=importer)
 
 
@@ -262,6 +265,17 @@ def _world(row: PaperExperiment) -> WorldConfig:
         safe_distance=row.safe_distance,
         max_speed=row.max_speed,
     )
+
+
+def _weighing(config: ExperimentConfig, signals: Any) -> ExperimentConfig:
+    """Returns a preset without its weights of signals that an objective of the user's signals alone does not have."""
+    names = set(signals) if isinstance(signals, Mapping) else set()
+    names |= {GATHERING} if names & set(GATHERING_SIGNALS) else set()
+
+    def kept(stage: StageConfig) -> StageConfig:
+        return replace(stage, weights={name: weight for name, weight in stage.weights.items() if name in names})
+
+    return replace(config, base=kept(config.base), auxiliary=kept(config.auxiliary))
 
 
 def _learner_name(learner: str | None, data: Mapping[str, Any]) -> str:

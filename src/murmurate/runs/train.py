@@ -22,6 +22,7 @@ from murmurate import __version__, prng
 from murmurate.discovery import Search, advance_together, build_cascade, check_parts, policy_name, policy_templates
 from murmurate.errors import RunError, check_function, check_path, check_type
 from murmurate.learning import sharding
+from murmurate.policies import PolicyNetwork
 from murmurate.runs import config_io, files
 from murmurate.runs.evaluate import EPISODES, Evaluation, evaluate
 from murmurate.runs.experiment import ExperimentConfig
@@ -221,10 +222,12 @@ def _fit_initial(config: ExperimentConfig, initial: Run | None) -> tuple[Any, ..
     """
     policies = () if initial is None else initial.cascade.policies[: config.discovery.max_policies]
     templates = policy_templates(config, len(policies))
-    return tuple(
-        files.fit_tree(policy.with_inputs_of(template), template, f"the {policy_name(index)} policy to begin with")
-        for index, (policy, template) in enumerate(zip(policies, templates, strict=True))
-    )
+    fitted = []
+    for index, (policy, template) in enumerate(zip(policies, templates, strict=True)):
+        # A network need not be a PolicyNetwork, which can have optional inputs.
+        policy = policy.with_inputs_of(template) if isinstance(policy, PolicyNetwork) else policy
+        fitted.append(files.fit_tree(policy, template, f"the {policy_name(index)} policy to begin with"))
+    return tuple(fitted)
 
 
 def _prepare(

@@ -85,6 +85,9 @@ class Signal(Strategy):
 
     section: ClassVar[str] = "signals"
 
+    needs_landmark: ClassVar[bool] = False
+    """Whether it is measured from the origin: robots with their own views are then shown that point."""
+
     weight: float = eqx.field(default=1.0, kw_only=True)
 
     def __check_init__(self) -> None:
@@ -112,6 +115,8 @@ class Signal(Strategy):
 @Signal.register("close")
 class Close(Signal):
     """Closeness of the robots to the origin (paper, equation 6)."""
+
+    needs_landmark: ClassVar[bool] = True
 
     def __call__(self, configuration: Configuration) -> Float[Array, "robots *batch"]:
         """Returns 1 - ||P_n|| / sqrt(X^2 + Y^2)."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import operator
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 from jaxtyping import Float
@@ -114,6 +114,8 @@ class Compact(Signal):
 @Signal.register("centered")
 class Centered(Signal):
     """How near the robots are to the gathering point: 1 on the smallest valid ring around it, linear beyond."""
+
+    needs_landmark: ClassVar[bool] = True
 
     def __call__(self, configuration: Configuration) -> Float[Array, "robots *batch"]:
         """Returns 2 - ||P_n|| / the radius of the smallest ring."""

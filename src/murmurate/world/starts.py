@@ -11,7 +11,6 @@ import math
 import operator
 from abc import abstractmethod
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -74,6 +73,9 @@ class Start(Strategy):
 
     section: ClassVar[str] = "start"
 
+    file_fields: ClassVar[tuple[str, ...]] = ()
+    """The fields that name files: a path in a TOML file is relative to it, and a run keeps copies of the files."""
+
     @abstractmethod
     def sample(self, key: PRNGKeyArray, batch: int, world: WorldConfig) -> Float[Array, "batch robots 2"]:
         """Draws configurations, none in contact, all inside the world.
@@ -90,7 +92,8 @@ class Start(Strategy):
     def prepare(self, world: WorldConfig) -> Start:
         """Returns the start with everything done that needs no randomness, such as reading files.
 
-        Called once, outside of any jit, with the numbers of the world known.
+        Called once, outside of any jit, with the numbers of the world known. A start of a few given configurations
+        returns a `JitteredStart` of them: training then begins at each of them equally often.
 
         Raises:
             InputError: The start is not possible in this world.
@@ -229,6 +232,8 @@ class FileStart(LayoutStart):
         file: CSV file of starts with the header start,x,y.
     """
 
+    file_fields: ClassVar[tuple[str, ...]] = ("file",)
+
     file: str = eqx.field(default="", static=True)
 
     def layouts(self, world: WorldConfig) -> Float[np.ndarray, "layouts robots 2"]:
@@ -311,7 +316,9 @@ class MixtureStart(Start):
 
     def prepare(self, world: WorldConfig) -> Start:
         """Prepares both starts."""
-        return replace(self, first=self.first.prepare(world), second=self.second.prepare(world))
+        # Not by its constructor, which takes no share that is an array already.
+        parts = self.first.prepare(world), self.second.prepare(world)
+        return eqx.tree_at(lambda start: (start.first, start.second), self, parts)
 
     def fits_any_size(self) -> bool:
         """Returns whether both starts serve swarms of any size."""
@@ -428,7 +435,7 @@ def check_start(start: Start, world: WorldConfig) -> Start:
         raise InputError("start", start.name, f"a start that can be drawn ({type(error).__name__}: {error})") from None
     wanted = (TRIALS, world.robots, 2)
     shape, dtype = getattr(sampled, "shape", None), getattr(sampled, "dtype", None)
-    if shape != wanted or dtype is None or not jnp.issubdtype(dtype, jnp.floating):
+    if (shape, dtype) != (wanted, jnp.float32):
         returned = f"{dtype}{list(shape)}" if shape is not None else type(sampled).__name__
         raise InputError("start", start.name, f"a start whose sample returns float32{list(wanted)}, not {returned}")
     if _surely_fits(prepared, world):
