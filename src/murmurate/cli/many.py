@@ -7,7 +7,7 @@ from pathlib import Path
 
 from murmurate.analysis import Catalogue
 from murmurate.cli.main import NOTHING_VALID, TOO_FEW_VALID
-from murmurate.runs import catalogues, table
+from murmurate.runs import catalogues, files, table
 from murmurate.runs.evaluate import is_below
 from murmurate.runs.execute import InProcess, run_jobs
 from murmurate.runs.folder import RunFolder
@@ -47,11 +47,12 @@ def discover_many(
 
     Raises:
         InputError: `together` is out of bounds.
-        RunError: A folder holds something else, or cannot be written to, or the policies of `initial` do not fit.
+        RunError: A folder holds something else, is a link, or cannot be written to, or the policies of `initial` do
+            not fit.
     """
     from murmurate.cli.catalogue import show
 
-    catalogue, folders = out / f"{name}-catalogue", [out / run for run in grid.runs]
+    catalogue, folders = files.inside(out, f"{name}-catalogue"), [out / run for run in grid.runs]
     catalogues.check_target(catalogue)
     for run, state in grid.check(out, resume=resume).items():
         if state == "finished" and on_metrics is not None:
