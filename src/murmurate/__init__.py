@@ -159,8 +159,9 @@ def discover(
     Example:
         >>> run = murmurate.discover("F", seed=1, base={"ppo": {"updates": 20}})  # doctest: +SKIP
     """
-    from murmurate.errors import check_function, check_path
+    from murmurate.errors import check_function, check_path, check_type
 
+    check_type("resume", resume, bool, "True or False")
     if out is not None:
         check_path("out", out)
     check_function("on_progress", on_progress, "on_progress(work, done, total, **values)")
@@ -192,7 +193,7 @@ def load(folder: str | Path, trust: bool = False) -> murmurate.Run:
         The run: its experiment, world and cascade, and `rollout(starts, key)`.
 
     Raises:
-        InputError: `folder` is no path.
+        InputError: `folder` is no path, or `trust` neither true nor false.
         RunError: The folder is missing, unfinished, damaged or of an unknown version, or names modules and is not
             trusted.
     """

@@ -18,6 +18,8 @@ import tempfile
 import warnings
 from pathlib import Path
 
+from murmurate.terminal import say
+
 __all__ = ["MAX_BYTES", "VARIABLE", "configure", "folder"]
 
 VARIABLE = "MURMURATE_CACHE"
@@ -48,7 +50,7 @@ def configure() -> None:
         _trim(cache.parent, MAX_BYTES)
     except (OSError, RuntimeError) as error:  # RuntimeError: there is no home folder
         reason = getattr(error, "strerror", None) or error
-        print(f"murmurate: programs are compiled anew: {reason} (set {VARIABLE} to a folder, or off)", file=sys.stderr)
+        say(f"murmurate: programs are compiled anew: {reason} (set {VARIABLE} to a folder, or off)", file=sys.stderr)
         return
     jax.config.update("jax_compilation_cache_dir", str(cache))
     # JAX keeps what takes a second to compile; a short run is mostly small programs.

@@ -25,6 +25,7 @@ __all__ = [
     "check_number",
     "check_path",
     "check_type",
+    "escaped",
     "one_line",
     "printable",
     "shown",
@@ -56,8 +57,12 @@ def one_line(text: str, limit: int = MAX_LINE) -> str:
 
 def printable(text: str) -> str:
     """Returns text on one line; characters that a terminal would act on, or cannot write, are escaped."""
-    line = " ".join(text.split())
-    return line if line.isprintable() else "".join(c if c.isprintable() else ascii(c)[1:-1] for c in line)
+    return escaped(" ".join(text.split()))
+
+
+def escaped(text: str) -> str:
+    """Returns text with the characters that a terminal would act on, or cannot write, escaped as in Python."""
+    return text if text.isprintable() else "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
 
 def shown(value: object) -> str:

@@ -5,7 +5,7 @@ files are opened without following a link and without waiting, and read up to a 
 file that is there: a new one, under a name that nobody can foresee, is moved into its place. What grows, metrics and
 logs, is copied first where other files are hard links to it. Those are read like any others: backups are made of them.
 
-Errors are `OSError`s whose `strerror` is a reason in words; none of them repeats what a file holds.
+Errors are `OSError`s with the name of the file, whose `strerror` is a reason in words; none repeats what a file holds.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def read(path: str | os.PathLike[str], max_bytes: int, follow: bool = False) -> 
         OSError: It cannot be opened, is a link, is no regular file, or is too large.
     """
     descriptor = _open(path, os.O_RDONLY, follow)
-    with open(descriptor, "rb") as file:
+    with _naming(path), open(descriptor, "rb") as file:
         _check_regular(descriptor)
         too_large = os.fstat(descriptor).st_size > max_bytes
         # The size alone is not believed: files of /proc have none, and a file may grow.
@@ -70,7 +70,7 @@ def read_end(path: str | os.PathLike[str], max_bytes: int) -> bytes:
         OSError: It cannot be opened, is a link, or is no regular file.
     """
     descriptor = _open(path, os.O_RDONLY)
-    with open(descriptor, "rb") as file:
+    with _naming(path), open(descriptor, "rb") as file:
         _check_regular(descriptor)
         file.seek(max(0, os.fstat(descriptor).st_size - max_bytes))
         return file.read(max_bytes)
@@ -98,7 +98,8 @@ def append(path: str | os.PathLike[str]) -> BinaryIO:
     """
     descriptor = _open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT)
     try:
-        _check_regular(descriptor)
+        with _naming(path):
+            _check_regular(descriptor)
         return open(descriptor, "ab", buffering=0)
     except BaseException:
         os.close(descriptor)
@@ -222,6 +223,17 @@ def _open(path: str | os.PathLike[str], flags: int, follow: bool = False) -> int
     if not follow and _is_link(path) and not flags & os.O_EXCL:
         raise OSError(errno.ELOOP, "it is a link, and links in a folder are not followed", str(path))
     return os.open(path, flags | _NO_WAIT | (0 if follow else _NO_FOLLOW), 0o666)
+
+
+@contextlib.contextmanager
+def _naming(path: str | os.PathLike[str]) -> Iterator[None]:
+    """Adds the name of a file to an error of its descriptor, which has none."""
+    try:
+        yield
+    except OSError as error:
+        if error.filename is None:
+            error.filename = str(path)
+        raise
 
 
 def _is_link(path: str | os.PathLike[str]) -> bool:

@@ -275,3 +275,25 @@ def test_the_process_says_it_too(tmp_path):
     assert (result.returncode, result.stdout) == (2, "")
     assert result.stderr == "murmurate: world.radius = -1.0: must be a finite number > 0 and <= 1e+09\n"
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no pipes with a name")
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        ("sweep pipe.toml --out out", "pipe.toml: it is no regular file"),
+        ("discover C --config pipe.toml", "pipe.toml: it is no regular file"),
+        ("discover pipe.toml", "experiment = 'pipe.toml': must be an existing TOML file: it is no regular file"),
+        ("evaluate pipe.toml", "pipe.toml holds no run: it has no manifest.json"),
+        ("starts cluster --out pipe.toml/x.csv", "pipe.toml"),
+    ],
+)
+def test_errors_about_files_name_them(refused, words, line):
+    os.mkfifo("pipe.toml")
+    assert line in refused(*words.split(), files=1)
+
+
+def test_a_file_that_is_too_large_is_named(refused, tmp_path):
+    with (tmp_path / "large.toml").open("wb") as file:
+        file.truncate(1 << 30)  # takes no space on disk
+    assert refused("sweep", "large.toml", files=1) == "large.toml: it is larger than 1024 KiB, the most that is read"

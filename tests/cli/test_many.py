@@ -125,3 +125,14 @@ def test_bad_words_are_one_line_and_leave_nothing(arguments, message, tiny_toml,
     assert message in err
     assert err.count("\n") == 1
     assert not (tmp_path / "many").exists()
+
+
+def test_a_linked_catalogue_is_refused_before_training(tiny_toml, tmp_path, capsys):
+    elsewhere, out = tmp_path / "elsewhere", tmp_path / "out"
+    elsewhere.mkdir()
+    out.mkdir()
+    (out / "tiny-central-catalogue").symlink_to(elsewhere)
+    assert discover(tiny_toml, out, "--seeds", "2") == 2
+    assert "tiny-central-catalogue is a link" in capsys.readouterr().err
+    assert list(elsewhere.iterdir()) == []
+    assert [path.name for path in out.iterdir()] == ["tiny-central-catalogue"]

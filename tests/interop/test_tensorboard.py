@@ -98,3 +98,14 @@ def test_damaged_metrics_are_one_line(tmp_path):
     (tmp_path / METRICS).write_text("{\n")
     with Events() as events, pytest.raises(RunError, match="is damaged"):
         events(tmp_path)
+
+
+def test_a_linked_folder_is_refused(tmp_path):
+    run, elsewhere = tmp_path / "run", tmp_path / "elsewhere"
+    run.mkdir()
+    for target in (elsewhere, tmp_path):  # one that is not there, and one that is
+        (run / FOLDER).unlink(missing_ok=True)
+        (run / FOLDER).symlink_to(target)
+        with pytest.raises(RunError, match="tensorboard is a link"), Events() as events:
+            events(run)
+    assert not elsewhere.exists()

@@ -12,7 +12,7 @@ import murmurate
 from murmurate import analysis, discovery, plots, world
 from murmurate.errors import InputError
 from murmurate.interop import waypoints
-from murmurate.runs import catalogues, comparison, folder, sweep, train
+from murmurate.runs import catalogues, comparison, evaluate, folder, sweep, table, train
 from murmurate.runs.grid import Grid
 
 pytestmark = pytest.mark.unchecked
@@ -56,6 +56,20 @@ def test_paths_and_experiments(value, run, tmp_path, monkeypatch):
     for name in ("objective", "sensing", "scheduler"):
         refused(name, murmurate.pretrained, **{name: value})
     assert not any(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("value", ["no", "false", "", 0, 1, None, np.True_])
+def test_only_true_is_trust(value, finished):
+    """Any other value could be true by chance, as the word "no" is: foreign code would be imported."""
+    refused("trust", murmurate.load, finished, trust=value)
+    refused("trust", murmurate.Run.open, finished, value)
+    refused("trust", plots.Recording.open, finished, value)
+    refused("trust", waypoints.Waypoints.from_run, finished, waypoints.Scale(), trust=value)
+    refused("trust", catalogues.read_findings, finished, value)
+    refused("trust", evaluate.evaluated, folder.RunFolder(finished), value)
+    refused("trust", table.side_by_side, [finished], value)
+    refused("trust", table.results, [finished], value)
+    refused("resume", murmurate.discover, "C", out=finished, resume=value)
 
 
 @pytest.mark.parametrize("value", WRONG)

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from murmurate import untrusted
 from murmurate.cli.main import main
 from murmurate.errors import MAX_LINE, InputError, RunError, one_line, shown
 from murmurate.runs import comparison, config_io, experiment, files
@@ -279,8 +280,17 @@ def test_large_files_are_not_read(tmp_path):
         files.read_json(tmp_path / "x.json")
     with (tmp_path / "x.toml").open("wb") as file:
         file.truncate(1 << 30)
-    with pytest.raises(OSError, match="is larger than 1024 KiB"):
+    with pytest.raises(OSError, match="is larger than 1024 KiB") as caught:
         config_io.load_toml(tmp_path / "x.toml")
+    assert caught.value.filename == str(tmp_path / "x.toml")
+
+
+@pytest.mark.skipif(not os.path.exists("/proc/self/mem"), reason="only Linux has this file")
+def test_errors_in_the_middle_of_a_file_name_it_too():
+    """Nothing is at the first address of a process: the file opens, and cannot be read."""
+    with pytest.raises(OSError, match="Input/output error") as caught:
+        untrusted.read("/proc/self/mem", 1 << 10)
+    assert caught.value.filename == "/proc/self/mem"
 
 
 def test_only_needed_arrays_are_loaded(strange, monkeypatch):

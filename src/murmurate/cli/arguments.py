@@ -18,6 +18,7 @@ from typing import Any, Literal, NoReturn, get_args, get_origin
 
 from murmurate.errors import InputError, UsageError, suggestion
 from murmurate.runs import config_io
+from murmurate.terminal import say_text
 
 __all__ = ["Parser", "chosen_strategies"]
 
@@ -194,7 +195,7 @@ class _HelpAll(argparse.Action):
     """Prints the help with all flags, and exits."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: Any, **__: Any) -> None:
-        print(parser.format_help(full=True), end="")  # type: ignore[call-arg]
+        say_text(parser.format_help(full=True))  # type: ignore[call-arg]
         parser.exit()
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from murmurate.cli.arguments import Parser
 from murmurate.errors import MAX_MAGNITUDE, RunError, check_number
+from murmurate.terminal import say
 
 if TYPE_CHECKING:
     from murmurate.analysis import Catalogue, PatternClass
@@ -122,6 +123,6 @@ def _print(catalogue: Catalogue, out: Path) -> None:
     console = Console()
     console.print(table.as_rich(header, rows))
     if len(catalogue.classes) > MAX_LISTED:
-        print(f"and {len(catalogue.classes) - MAX_LISTED} more")
-    print(f"classes: {out / catalogues.CLASSES}, all findings: {out / catalogues.CATALOGUE}")
-    print(f"plate: {out / PLATE}")
+        say(f"and {len(catalogue.classes) - MAX_LISTED} more")
+    say(f"classes: {out / catalogues.CLASSES}, all findings: {out / catalogues.CATALOGUE}")
+    say(f"plate: {out / PLATE}")

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from murmurate.cli.arguments import Parser
 from murmurate.errors import InputError, RunError, printable
+from murmurate.terminal import say, say_text
 
 if TYPE_CHECKING:
     from murmurate.runs.comparison import Comparison
@@ -73,7 +74,7 @@ def _compare(options: Namespace, command: str) -> None:
     base = next(iter(next(iter(runs.values())).values())).experiment
     comparison = Comparison(base, options.episodes, options.seed)
     rows = compare(comparison, wanted, runs, options.out, executor, command=command, quiet=options.quiet)
-    print("\n".join(map(_line, rows)))
+    say_text("\n".join(map(_line, rows)))
     _write(options, comparison)
 
 
@@ -120,8 +121,8 @@ def _write(options: Namespace, comparison: Comparison) -> None:
         page = Path(options.into)
         part = comparison_page.page(rows, commands, notes, f"{os.path.relpath(out, page.parent)}/")
         files.write_text(page, comparison_page.put_into(page.read_text("utf-8"), part))
-    print(f"table: {out / 'comparison.md'}")
-    print("pictures: " + ", ".join(map(str, pictures)))
+    say(f"table: {out / 'comparison.md'}")
+    say("pictures: " + ", ".join(map(str, pictures)))
 
 
 def _line(row: dict[str, Any]) -> str:

@@ -14,6 +14,7 @@ from murmurate.cli.arguments import Parser, chosen_strategies
 from murmurate.cli.main import NOTHING_VALID, STATUS, TOO_FEW_VALID
 from murmurate.errors import UsageError
 from murmurate.runs.paper import ALLOWED, check_experiment
+from murmurate.terminal import say
 
 if TYPE_CHECKING:
     from murmurate.runs.folder import RunFolder
@@ -170,7 +171,7 @@ def _join(options: Namespace) -> None:
     count = int(options.hosts) if options.hosts.isdecimal() else options.hosts
     sharding.check_address(options.coordinator, count, options.host)
     if options.host == 0 and count > 1:
-        print(f"waiting for the other hosts at {options.coordinator}", file=sys.stderr, flush=True)
+        say(f"waiting for the other hosts at {options.coordinator}", file=sys.stderr)
     sharding.initialize(options.coordinator, count, options.host)
 
 
@@ -191,17 +192,17 @@ def _print_results(run: Run, folder: RunFolder) -> int:
     from murmurate.runs.evaluate import is_below
 
     summary.print_results(run, folder)
-    print(f"picture: {summary.draw(folder)}")
+    say(f"picture: {summary.draw(folder)}")
     evaluation = folder.evaluation()
     if not run.manifest["valid_pattern"]:
-        print(f"No valid pattern was discovered. The run is kept in {folder.path}; try another --seed or more updates.")
+        say(f"No valid pattern was discovered. The run is kept in {folder.path}; try another --seed or more updates.")
         return NOTHING_VALID
     status = 0
     required = run.experiment.discovery.required_valid
     if is_below(evaluation, required):
         status = TOO_FEW_VALID
         share = f"{evaluation['valid']:.1%}"
-        print(f"Valid patterns from {share} of the starts; discovery.required_valid asks for {required:.1%}.")
-    print(f"animation: murmurate show {folder.path}")
-    print(f"other starts: murmurate evaluate {folder.path} --seed 1 --out {folder.path}-evaluation")
+        say(f"Valid patterns from {share} of the starts; discovery.required_valid asks for {required:.1%}.")
+    say(f"animation: murmurate show {folder.path}")
+    say(f"other starts: murmurate evaluate {folder.path} --seed 1 --out {folder.path}-evaluation")
     return status

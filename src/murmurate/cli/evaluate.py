@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from murmurate.cli.arguments import Parser
+from murmurate.terminal import say
 
 __all__ = ["run"]
 
@@ -44,6 +45,6 @@ def run(argv: Sequence[str]) -> int:
         folder.copy_to(target)
     result.save(target)
     summary.print_results(opened, target)
-    print(f"picture: {summary.draw(target)}")
-    print("record: " + ", ".join(map(str, target.evaluation_files)))
+    say(f"picture: {summary.draw(target)}")
+    say("record: " + ", ".join(map(str, target.evaluation_files)))
     return 0

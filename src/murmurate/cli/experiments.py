@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from murmurate.cli.arguments import Parser
 from murmurate.errors import UsageError, check_choice
 from murmurate.runs.paper import ALLOWED, EXPERIMENTS, check_experiment
+from murmurate.terminal import say, say_text
 
 __all__ = ["run"]
 
@@ -31,11 +32,11 @@ def run(argv: Sequence[str]) -> int:
         check_experiment(options.experiment)
         from murmurate.runs import config_io, presets
 
-        print(config_io.dump_toml(presets.resolve(options.experiment, learner=options.learner)), end="")
+        say_text(config_io.dump_toml(presets.resolve(options.experiment, learner=options.learner)))
         return 0
     _print_all()
-    print()
-    print("steps: the paper's. murmurate experiments C writes C out with all its fields; murmurate discover C runs it.")
+    say()
+    say("steps: the paper's. murmurate experiments C writes C out with all its fields; murmurate discover C runs it.")
     return 0
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from murmurate.cli.arguments import Parser
 from murmurate.errors import RunError, UsageError, check_choice
+from murmurate.terminal import say
 
 __all__ = ["run"]
 
@@ -71,10 +72,10 @@ def _model(options: Namespace) -> int:
         raise RunError(f"the model differs from the policy by {difference:.1e}: nothing was written")
     files.write_bytes(path, model.data)
     for name, shape in model.program.inputs.items():
-        print(f"input: {name} {' x '.join(map(str, shape))}, float32")
-    print(f"outputs: {', '.join(model.program.outputs)}")
-    print(f"greatest difference over {onnx.CONFIGURATIONS:,} configurations: {difference:.1e}")
-    print(f"model: {path}")
+        say(f"input: {name} {' x '.join(map(str, shape))}, float32")
+    say(f"outputs: {', '.join(model.program.outputs)}")
+    say(f"greatest difference over {onnx.CONFIGURATIONS:,} configurations: {difference:.1e}")
+    say(f"model: {path}")
     return 0
 
 
@@ -93,11 +94,11 @@ def _waypoints(options: Namespace) -> int:
     waypoints = Waypoints.from_run(options.run, scale, options.episodes, options.trust)
     waypoints.write(path, options.trajectories)
     for name, value in waypoints.about().items():
-        print(f"{name.replace('_', ' ')}: {value}")
+        say(f"{name.replace('_', ' ')}: {value}")
     episodes, left_out = len(waypoints.episodes), len(waypoints.left_out)
     note = f"; {left_out} that ended in contact or outside the world are left out" if left_out else ""
-    print(f"episodes: {episodes}{note}")
-    print(f"waypoints: {path}")
+    say(f"episodes: {episodes}{note}")
+    say(f"waypoints: {path}")
     return 0
 
 

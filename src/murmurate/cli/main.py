@@ -27,6 +27,7 @@ from murmurate.errors import (
     suggestion,
 )
 from murmurate.interrupts import sigterm_as_interrupt
+from murmurate.terminal import say, say_text
 
 __all__ = ["FAILED", "NOTHING_VALID", "STATUS", "TOO_FEW_VALID", "main"]
 
@@ -112,10 +113,10 @@ def _replacing_characters() -> Iterator[None]:
 def _run(arguments: list[str]) -> int:
     verb = arguments[0] if arguments else "--help"
     if verb in ("-h", "--help", "help"):
-        print(_help())
+        say_text(_help())
         return 0
     if verb == "--version":
-        print(f"murmurate {__version__}")
+        say(f"murmurate {__version__}")
         return 0
     if verb not in VERBS:
         what = "flag" if verb.startswith("-") else "verb"
@@ -130,7 +131,7 @@ def _run(arguments: list[str]) -> int:
 
 def _warn(message: Warning | str, *_: Any, **__: Any) -> None:
     """Shows a warning as one line."""
-    print(one_line(f"murmurate: warning: {message}"), file=sys.stderr)
+    say(one_line(f"murmurate: warning: {message}"), file=sys.stderr)
 
 
 def _help() -> str:
@@ -151,5 +152,5 @@ def _help() -> str:
 
 
 def _complain(message: str, status: int) -> int:
-    print(one_line(f"murmurate: {message}", MAX_LINE + 100), file=sys.stderr)
+    say(one_line(f"murmurate: {message}", MAX_LINE + 100), file=sys.stderr)
     return status

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from murmurate.analysis import Catalogue
 from murmurate.cli.main import NOTHING_VALID, TOO_FEW_VALID
-from murmurate.runs import catalogues, table
+from murmurate.runs import catalogues, files, table
 from murmurate.runs.evaluate import is_below
 from murmurate.runs.execute import InProcess, run_jobs
 from murmurate.runs.folder import RunFolder
@@ -15,6 +15,7 @@ from murmurate.runs.grid import Grid
 from murmurate.runs.jobs import training_jobs
 from murmurate.runs.run import Run
 from murmurate.runs.train import check_initial
+from murmurate.terminal import say, say_text
 
 __all__ = ["discover_many"]
 
@@ -47,11 +48,12 @@ def discover_many(
 
     Raises:
         InputError: `together` is out of bounds.
-        RunError: A folder holds something else, or cannot be written to, or the policies of `initial` do not fit.
+        RunError: A folder holds something else, is a link, or cannot be written to, or the policies of `initial` do
+            not fit.
     """
     from murmurate.cli.catalogue import show
 
-    catalogue, folders = out / f"{name}-catalogue", [out / run for run in grid.runs]
+    catalogue, folders = files.inside(out, f"{name}-catalogue"), [out / run for run in grid.runs]
     catalogues.check_target(catalogue)
     for run, state in grid.check(out, resume=resume).items():
         if state == "finished" and on_metrics is not None:
@@ -62,14 +64,14 @@ def discover_many(
         run_jobs(training_jobs(grid, out, on_metrics, initial), InProcess(together), quiet=quiet)
     except KeyboardInterrupt:
         raise KeyboardInterrupt("interrupted; add --resume to the same command to go on") from None
-    print(table.as_markdown(*table.side_by_side(folders, trust=True)), end="")
+    say_text(table.as_markdown(*table.side_by_side(folders, trust=True)))
     findings = [finding for folder in folders for finding in catalogues.read_findings(folder, trust=True)]
     if not findings:
-        print(f"No valid pattern was discovered. The runs are kept in {out}.")
+        say(f"No valid pattern was discovered. The runs are kept in {out}.")
         return NOTHING_VALID
     show(Catalogue.from_findings(findings), catalogue)
     required = {run: config.discovery.required_valid for run, config in grid.runs.items()}
     if all(is_below(RunFolder(out / run).evaluation(), least) for run, least in required.items()):
-        print("No run formed valid patterns from the share of starts that discovery.required_valid asks for.")
+        say("No run formed valid patterns from the share of starts that discovery.required_valid asks for.")
         return TOO_FEW_VALID
     return 0

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from murmurate.cli.arguments import Parser
 from murmurate.errors import InputError, RunError
 from murmurate.runs.paper import ALLOWED, check_experiment
+from murmurate.terminal import say, say_text
 
 if TYPE_CHECKING:
     from murmurate.analysis.optimum.search import Formation, OptimumConfig
@@ -61,7 +62,7 @@ def _list() -> int:
     from murmurate.analysis.optimum import best_known
     from murmurate.runs import optima, table
 
-    print(table.as_markdown(optima.OPTIMA, optima.rows(best_known.load())), end="")
+    say_text(table.as_markdown(optima.OPTIMA, optima.rows(best_known.load())))
     return 0
 
 
@@ -77,26 +78,26 @@ def _search(config: OptimumConfig, out: Path | None, command: str, quiet: bool) 
     _print_found(config, formations)
     best = formations[0]
     if checked is not None:
-        print(f"basin hopping, {config.hops} rounds: {checked.value:.7f}{_flaw(checked)}")
+        say(f"basin hopping, {config.hops} rounds: {checked.value:.7f}{_flaw(checked)}")
         best = min(best, checked, key=lambda formation: (config.only_valid and not formation.valid, -formation.value))
     if config.only_valid and not best.valid:
-        print("No valid pattern was found; the best of what was found is not one.")
+        say("No valid pattern was found; the best of what was found is not one.")
         return 3
     _print_comparison(config, best)
     if out is not None:
         files.write_json(out, BestKnown.from_target(config.target, best.positions, command).to_dict())
-        print(f"pattern: {out}")
+        say(f"pattern: {out}")
     return 0
 
 
 def _print_found(config: OptimumConfig, formations: list[Formation]) -> None:
     sizes = config.world
     what = f"{sizes.robots} robots, {config.objective}, R = {sizes.radius:g}, safe distance {sizes.safe_distance:g}"
-    print(f"{what}: {len(formations)} distinct local optima, best first")
+    say(f"{what}: {len(formations)} distinct local optima, best first")
     for formation in formations[:MAX_LISTED]:
         signals = config.target.signals(formation.positions)
         parts = ", ".join(f"{name} {float(value):.6f}" for name, value in signals.items())
-        print(f"  {formation.value:.7f}{_flaw(formation)}  ({parts})")
+        say(f"  {formation.value:.7f}{_flaw(formation)}  ({parts})")
 
 
 def _flaw(formation: Formation) -> str:
@@ -111,15 +112,15 @@ def _print_comparison(config: OptimumConfig, best: Formation) -> None:
 
     target, sizes = config.target, config.world
     if best.valid:
-        print(f"packing bound on valid patterns: {bounds.upper_bound(target):.7f}")
+        say(f"packing bound on valid patterns: {bounds.upper_bound(target):.7f}")
         ring = smallest_ring(sizes.robots, sizes.radius, sizes.safe_distance)
-        print(f"smallest regular ring, radius {ring.radius:.6f}: {target.value(ring.positions):.7f}")
+        say(f"smallest regular ring, radius {ring.radius:.6f}: {target.value(ring.positions):.7f}")
     known = best_known(target)
     if known is None:
-        print("best known: none for these sizes")
+        say("best known: none for these sizes")
     elif best.value > known + RECORD_MARGIN:
-        print(f"best known: {known:.7f}; this one is better")
+        say(f"best known: {known:.7f}; this one is better")
     elif best.value < known - RECORD_MARGIN:
-        print(f"best known: {known:.7f}; this one is {100 * (known - best.value) / known:.2g}% short of it")
+        say(f"best known: {known:.7f}; this one is {100 * (known - best.value) / known:.2g}% short of it")
     else:
-        print(f"best known: {known:.7f}; this one equals it")
+        say(f"best known: {known:.7f}; this one equals it")

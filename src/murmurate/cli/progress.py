@@ -12,6 +12,7 @@ from rich.progress import Progress as Bars
 from rich.table import Column
 
 from murmurate.runs import progress
+from murmurate.terminal import say
 
 __all__ = ["Progress"]
 
@@ -76,4 +77,4 @@ class Progress:
             text = progress.values_text(**values)
             self._bars.update(self._tasks[work], completed=done, total=total, text=text, refresh=True)
         elif not self._quiet:
-            print(progress.line(work, done, total, **values), file=self._stream, flush=True)
+            say(progress.line(work, done, total, **values), file=self._stream)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from murmurate.cli.arguments import Parser
 from murmurate.errors import UsageError
+from murmurate.terminal import say
 
 if TYPE_CHECKING:
     from murmurate.report.plan import Plan
@@ -73,14 +74,14 @@ def reproduce(plan: Plan, runs: Path, out: Path, options: Namespace, begun: floa
     states = Counter(planned.check(plan, runs).values())
     report.check(out)
     parts = f"{states['finished']} finished, {states['unfinished']} to go on with, {states['new']} to train"
-    print(f"{len(plan.runs)} runs in {runs}: {parts}", flush=True)
+    say(f"{len(plan.runs)} runs in {runs}: {parts}")
     results = planned.train(plan, runs, executor, options.quiet)
-    print("drawing the report", flush=True)
+    say("drawing the report")
     full = _command(options, full=True)
     command = Command(_command(options), full, time.perf_counter() - begun, states["finished"])
     report.write(report.make(ReportData(plan, results, command)), out)
-    print(f"report: {out / report.HTML}, {out / report.MARKDOWN}")
-    print(f"numbers: {out / report.NUMBERS}")
+    say(f"report: {out / report.HTML}, {out / report.MARKDOWN}")
+    say(f"numbers: {out / report.NUMBERS}")
 
 
 def _command(options: Namespace, full: bool = False) -> str:

@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from murmurate.cli.arguments import Parser
-from murmurate.errors import UsageError, check_choice
+from murmurate.errors import UsageError, check_choice, escaped
+from murmurate.terminal import say
 
 if TYPE_CHECKING:
     from murmurate.plots import Recording
@@ -112,11 +113,11 @@ def _form_patterns(
     starts = "1 start" if episodes == 1 else f"{episodes} starts"
     summary = f"{robots} robots, {starts}: {valid} ended in a valid pattern"
     if options.animation is not None:
-        print(summary)
+        say(summary)
         return _draw(plots.Recording(run.experiment, evaluation.trajectories), Path(), options)
     run.save(folder)
     evaluation.save(folder)
-    print(summary)
+    say(summary)
     return _draw(plots.Recording.open(folder), RunFolder(folder).figures, options)
 
 
@@ -128,8 +129,8 @@ def _draw(recording: Recording, out: Path, options: Namespace) -> int:
     plots.animate(recording, animation, options.episode)
     if options.animation is None:
         plots.save(plots.discovery_figure(recording, options.episode), out / "discovery.png")
-        print(f"picture: {out / 'discovery.png'}")
-    print(f"animation: {animation}")
+        say(f"picture: {out / 'discovery.png'}")
+    say(f"animation: {animation}")
     return 0
 
 
@@ -142,10 +143,10 @@ def _draw_patterns(folders: list[Path], out: Path, trust: bool) -> int:
     names = [folder.resolve().name for folder in folders]
     if len(set(names)) < len(names):
         names = [str(folder) for folder in folders]
-    names = [name.encode("utf-8", "replace").decode() for name in names]  # fonts have no bytes of other encodings
+    names = [escaped(name) for name in names]  # fonts have no control characters, nor bytes of other encodings
     notes = table.differences([recording.experiment for recording in recordings])
     for name, note in zip(names, notes, strict=True):
-        print(f"{name}{': ' * bool(note)}{note}")
+        say(f"{name}{': ' * bool(note)}{note}")
     plots.save(plots.patterns_figure(recordings, names, notes), out / "patterns.png")
-    print(f"picture: {out / 'patterns.png'}")
+    say(f"picture: {out / 'patterns.png'}")
     return 0

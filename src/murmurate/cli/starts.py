@@ -7,6 +7,7 @@ from pathlib import Path
 
 from murmurate.cli.arguments import Parser
 from murmurate.errors import RunError
+from murmurate.terminal import say
 
 __all__ = ["run"]
 
@@ -31,7 +32,7 @@ def run(argv: Sequence[str]) -> int:
         known = start_sets.checksums()
         for family in start_sets.FAMILIES:
             sizes = [robots for robots in start_sets.SIZES if start_sets.set_name(family, robots) in known]
-            print(f"{start_sets.VERSION}/{family}: N = {', '.join(map(str, sizes))}")
+            say(f"{start_sets.VERSION}/{family}: N = {', '.join(map(str, sizes))}")
         return 0
     points = start_sets.start_set(options.family, options.robots, options.count)
     out = Path(options.out or f"{options.family}-{options.robots}.csv")
@@ -41,6 +42,6 @@ def run(argv: Sequence[str]) -> int:
     rows = [f"{number},{x},{y}" for number, start in enumerate(points.astype(str)) for x, y in start]
     files.write_text(out, "\n".join(["start,x,y", *rows, ""]))
     sizes, name = start_sets.set_world(options.robots), start_sets.set_name(options.family, options.robots)
-    print(f"{name}: {options.count} starts in |x|, |y| <= {sizes.half_width:g}, robots of radius {sizes.radius:g}")
-    print(f"starts: {out}")
+    say(f"{name}: {options.count} starts in |x|, |y| <= {sizes.half_width:g}, robots of radius {sizes.radius:g}")
+    say(f"starts: {out}")
     return 0

@@ -10,6 +10,7 @@ from murmurate.runs import presets, table
 from murmurate.runs.failures import describe_failures
 from murmurate.runs.folder import RECORD, RunFolder
 from murmurate.runs.run import Run
+from murmurate.terminal import say
 
 __all__ = ["draw", "print_results"]
 
@@ -23,9 +24,9 @@ def print_results(run: Run, folder: RunFolder) -> None:
     """
     Console().print(table.as_rich(*table.comparison(folder.evaluation(), presets.paper_row(run.experiment))))
     for line in describe_failures(run.experiment, folder.trajectories()):
-        print(line)
+        say(line)
     if folder.record() is not None:
-        print(f"A valid pattern beats the best known: {folder.path / RECORD} is the new record.")
+        say(f"A valid pattern beats the best known: {folder.path / RECORD} is the new record.")
 
 
 def draw(folder: RunFolder) -> Path:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from murmurate.cli.arguments import Parser
 from murmurate.cli.main import FAILED, NOTHING_VALID, TOO_FEW_VALID
 from murmurate.errors import UsageError, check_choice
+from murmurate.terminal import say, say_text
 
 if TYPE_CHECKING:
     from murmurate.runs.execute import Executor
@@ -100,19 +101,19 @@ def _report(rows: list[dict[str, Any]], out: Path) -> int:
     failed = [row for row in rows if row["status"] == "failed"]
     if done:
         names = [row["run"] for row in done]
-        print(table.as_markdown(*table.side_by_side([out / name for name in names], True, names)), end="")
-    print(f"table: {out / CSV}")
+        say_text(table.as_markdown(*table.side_by_side([out / name for name in names], True, names)))
+    say(f"table: {out / CSV}")
     for row in failed:
         log = out / row["run"] / LOG
-        print(f"failed: {row['run']}: {row['error']}{f' (see {log})' if log.exists() else ''}")
+        say(f"failed: {row['run']}: {row['error']}{f' (see {log})' if log.exists() else ''}")
     if failed:
-        print(f"{len(failed)} of {len(rows)} runs failed; the same command tries them again.")
+        say(f"{len(failed)} of {len(rows)} runs failed; the same command tries them again.")
         return FAILED
     if not any(row["valid_pattern"] for row in done):
-        print(f"No valid pattern was discovered. The runs are kept in {out}.")
+        say(f"No valid pattern was discovered. The runs are kept in {out}.")
         return NOTHING_VALID
     runs = [RunFolder(out / row["run"]) for row in done]
     if all(is_below(run.evaluation(), run.experiment(trust=True).discovery.required_valid) for run in runs):
-        print("No run formed valid patterns from the share of starts that discovery.required_valid asks for.")
+        say("No run formed valid patterns from the share of starts that discovery.required_valid asks for.")
         return TOO_FEW_VALID
     return 0

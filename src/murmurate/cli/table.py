@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 from murmurate.cli.arguments import Parser
 from murmurate.errors import RunError
+from murmurate.terminal import say, say_text
 
 __all__ = ["run"]
 
@@ -36,7 +37,7 @@ def run(argv: Sequence[str]) -> int:
             errors[folder] = error
     if not finished:
         raise next(iter(errors.values()))
-    print(table.as_markdown(*table.side_by_side(finished, options.trust)), end="", flush=True)
+    say_text(table.as_markdown(*table.side_by_side(finished, options.trust)))
     for error in errors.values():
-        print(f"murmurate: left out: {error}", file=sys.stderr)
+        say(f"murmurate: left out: {error}", file=sys.stderr)
     return DAMAGED if any((RunFolder(folder).path / MANIFEST).exists() for folder in errors) else 0

@@ -46,13 +46,14 @@ class Events:
         """Writes the rows of a run's metrics that are new since the last call.
 
         Raises:
-            RunError: The metrics are damaged, or the events cannot be written.
+            RunError: The metrics are damaged, or the events cannot be written, or their folder is a link.
         """
-        with files.os_errors_as_run_errors(f"cannot write to {folder / FOLDER}"):
+        events = files.inside(folder, FOLDER)
+        with files.os_errors_as_run_errors(f"cannot write to {events}"):
             if folder not in self._writers:
-                if (folder / FOLDER).exists():
-                    shutil.rmtree(folder / FOLDER)
-                self._writers[folder], self._read[folder] = SummaryWriter(str(folder / FOLDER)), 0
+                if events.exists():
+                    shutil.rmtree(events)
+                self._writers[folder], self._read[folder] = SummaryWriter(str(events)), 0
             rows, self._read[folder] = RunFolder(folder).new_metrics(self._read[folder])
             for row in rows:
                 for name, value in scalars(row):

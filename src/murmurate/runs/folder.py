@@ -34,7 +34,7 @@ import numpy as np
 
 from murmurate import untrusted
 from murmurate.discovery import Search, Snapshot, policy_name, policy_templates
-from murmurate.errors import MAX_INTEGER, RunError, check_path, shown
+from murmurate.errors import MAX_INTEGER, RunError, check_path, check_type, shown
 from murmurate.representation import short_repr
 from murmurate.runs import experiment as configuration
 from murmurate.runs import files
@@ -214,8 +214,11 @@ class RunFolder:
             trust: Whether modules that it names ("module:Class") may be imported, which executes them.
 
         Raises:
+            InputError: `trust` is neither true nor false.
             RunError: It is missing, not one that this version understands, or names modules and is not trusted.
         """
+        # Whatever opens a run passes `trust` on to here; any text, "no" among them, would count as true.
+        check_type("trust", trust, bool, "True or False")
         return configuration.load(self.path, trusted=trust)
 
     def write_experiment(self, config: ExperimentConfig) -> None:

@@ -13,6 +13,7 @@ from rich.table import Table
 from murmurate.errors import RunError, one_line
 from murmurate.runs import escape, progress
 from murmurate.runs.jobs import Job, JobStatus
+from murmurate.terminal import say
 
 __all__ = ["LiveTable"]
 
@@ -23,7 +24,7 @@ ORDER = ("running", "failed", "waiting", "done")
 
 def print_progress(work: str, done: int, total: int, **values: float | str) -> None:
     """Prints a line of progress on stderr."""
-    print(progress.line(work, done, total, **values), file=sys.stderr, flush=True)
+    say(progress.line(work, done, total, **values), file=sys.stderr)
 
 
 class LiveTable:
@@ -97,7 +98,7 @@ class LiveTable:
         if self.is_live and status.state != "done":
             self._console.print(escape.rich(line))
         elif not self.is_live and not self._quiet:
-            print(one_line(line), flush=True)
+            say(one_line(line))
 
     def table(self, limit: int) -> Table:
         """Returns the table of at most so many jobs: those that run first, those that are done last."""

@@ -88,7 +88,8 @@ def check_experiment(word: str) -> None:
     if word.endswith(".toml"):
         if is_file:
             return
-        reason = "it is a folder" if Path(word).is_dir() else "no such file"
+        special = "it is a folder" if Path(word).is_dir() else "it is no regular file"
+        reason = special if Path(word).exists() else "no such file"
         raise InputError("experiment", word, f"an existing TOML file: {reason}")
     if is_file:
         raise InputError("experiment", word, f"one of {ALLOWED}, whose name ends in .toml")

@@ -18,6 +18,7 @@ from murmurate.runs.experiment import ExperimentConfig
 from murmurate.runs.folder import RunFolder
 from murmurate.runs.grid import Grid
 from murmurate.runs.jobs import JobStatus, initial_statuses, training_jobs
+from murmurate.terminal import say
 
 __all__ = ["CSV", "MEASURED", "PARQUET", "check_parquet", "rows", "sweep", "write_csv", "write_parquet"]
 
@@ -77,7 +78,7 @@ def sweep(
 
         if not quiet:
             done = sum(status.state == "done" for status in statuses.values())
-            print(f"{len(grid)} runs in {out}: {done} finished, {len(grid) - done} to train", flush=True)
+            say(f"{len(grid)} runs in {out}: {done} finished, {len(grid) - done} to train")
         try:
             run_jobs(jobs, executor or LocalProcesses(), statuses=statuses, quiet=quiet)
         except BaseException:
