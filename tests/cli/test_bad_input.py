@@ -98,6 +98,8 @@ def contents(folder):
         ("experiments G", "experiment = 'G': must be one of A, B, C, D, E, F, or a TOML file"),
         ("experiments --learner best", "--learner is for one experiment: give its name"),
         ("experiments A --learner best", "learner = 'best': must be one of"),
+        ("compare --workers 0", "--workers = 0: must be an integer >= 1"),
+        ("reproduce --workers 0", "--workers = 0: must be an integer >= 1"),
     ],
 )
 def test_bad_words(refused, arguments, line):
@@ -152,6 +154,13 @@ def test_bad_files_of_starts(refused, discovered, tiny_toml, tmp_path, text, lin
     assert line in refused("evaluate", discovered, "--starts", "mine.csv", files=1)
     assert contents(discovered) == before
     assert line in refused("discover", tiny_toml, "--start.use", "file", "--start.file", "mine.csv", files=1)
+
+
+@pytest.mark.parametrize("options", [(), ("--backend", "ray"), ("--backend", "slurm")])
+def test_a_sweep_without_workers(refused, tmp_path, options):
+    (tmp_path / "sweep.toml").write_text('experiments = ["C"]\n')
+    line = refused("sweep", "sweep.toml", "--workers", "0", *options, files=1)
+    assert line.startswith("--workers = 0: must be an integer >= 1")
 
 
 def test_an_experiment_is_a_name_or_a_toml_file(refused, tmp_path):
