@@ -29,7 +29,7 @@ def begin(env):
 def observed_until_after_the_end(env):
     """Returns how many agents observe something after each of several steps, past the end of the episode."""
     begin(env)
-    return [len(env.step({name: STILL for name in env.agents})[0]) for _ in range(HORIZON + 2)]
+    return [len(env.step(dict.fromkeys(env.agents, STILL))[0]) for _ in range(HORIZON + 2)]
 
 
 @pytest.mark.parametrize("name", ["frame_stack_v1", "flatten_v0", "pad_observations_v0", "dtype_v0"])
