@@ -25,7 +25,7 @@ except ModuleNotFoundError as error:
 
 from murmurate.errors import InputError, check_choice, check_number
 from murmurate.geometry import _batch_last
-from murmurate.interop.gathering import FPS, Camera, Episodes, Gathering, Observe, make_gathering
+from murmurate.interop.gathering import FPS, Camera, Episodes, Gathering, Observe, check_options, make_gathering
 from murmurate.world import State, World
 
 __all__ = ["ENV_ID", "GatheringEnv", "GatheringVectorEnv", "register"]
@@ -396,7 +396,8 @@ def _member(observation: Any, index: int) -> Any:
 
 
 def _check_options(options: dict[str, Any] | None, known: tuple[str, ...]) -> None:
-    """Checks the names of a reset's options."""
+    """Checks a reset's options: what they are, and their names."""
+    check_options(options)
     for name, value in (options or {}).items():
         if name not in known:
             raise InputError(f"options[{name!r}]", value, f"left out: options are {', '.join(known)}")
