@@ -132,6 +132,7 @@ def test_bad_experiment_files(refused, tmp_path, text, line):
         (START + "0,9,0\n", "mine.csv: start 0 = '4 robots': must be 3 robots"),
         (START.replace("start,x,y", "start,x,z"), "must be a table with the header start,x,y"),
         (START.replace("-5", "left"), "mine.csv line 2: x = 'left': must be a finite number"),
+        (START.replace("-5", "-5_0"), "mine.csv line 2: x = '-5_0': must be a finite number"),
         (START.replace("-5", "nan"), "mine.csv line 2: x = 'nan': must be a finite number"),
         (START + "0,-10,5,3,25\n", "mine.csv line 5: row = '0,-10,5,3,25': must be of 3 cells, as the header is"),
         (
