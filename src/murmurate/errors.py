@@ -128,6 +128,10 @@ MAX_INTEGER = 2**31 - 1
 """Greatest integer in a configuration: it fits 32 bits."""
 
 
+MAX_PATH_BYTES, MAX_NAME_BYTES = 4096, 255
+"""Bytes of a path, and of the name of a file or folder, at most: what common file systems allow."""
+
+
 def check_number(
     field: str,
     value: object,
@@ -180,10 +184,16 @@ def check_path(field: str, value: object) -> None:
     """Checks a path that was given in Python.
 
     Raises:
-        InputError: It is neither text nor a path.
+        InputError: It is neither text nor a path, or no file can have that name.
     """
-    if not isinstance(value.__fspath__() if isinstance(value, os.PathLike) else value, str):
+    text = value.__fspath__() if isinstance(value, os.PathLike) else value
+    if not isinstance(text, str):
         raise InputError(field, value, "a path")
+    if "\0" in text:
+        raise InputError(field, text, "a path, without a NUL character")
+    lengths = [len(name.encode(errors="surrogatepass")) for name in text.split(os.sep)]
+    if sum(lengths) + len(lengths) > MAX_PATH_BYTES or max(lengths) > MAX_NAME_BYTES:
+        raise InputError(field, text, f"a path of at most {MAX_PATH_BYTES} bytes, {MAX_NAME_BYTES} in each name")
 
 
 def check_type(field: str, value: object, kind: type, allowed: str) -> None:

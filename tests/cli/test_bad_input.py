@@ -98,6 +98,8 @@ def contents(folder):
         ("experiments G", "experiment = 'G': must be one of A, B, C, D, E, F, or a TOML file"),
         ("experiments --learner best", "--learner is for one experiment: give its name"),
         ("experiments A --learner best", "learner = 'best': must be one of"),
+        ("compare --workers 0", "--workers = 0: must be an integer >= 1"),
+        ("reproduce --workers 0", "--workers = 0: must be an integer >= 1"),
     ],
 )
 def test_bad_words(refused, arguments, line):
@@ -130,6 +132,7 @@ def test_bad_experiment_files(refused, tmp_path, text, line):
         (START + "0,9,0\n", "mine.csv: start 0 = '4 robots': must be 3 robots"),
         (START.replace("start,x,y", "start,x,z"), "must be a table with the header start,x,y"),
         (START.replace("-5", "left"), "mine.csv line 2: x = 'left': must be a finite number"),
+        (START.replace("-5", "-5_0"), "mine.csv line 2: x = '-5_0': must be a finite number"),
         (START.replace("-5", "nan"), "mine.csv line 2: x = 'nan': must be a finite number"),
         (START + "0,-10,5,3,25\n", "mine.csv line 5: row = '0,-10,5,3,25': must be of 3 cells, as the header is"),
         (
@@ -152,6 +155,13 @@ def test_bad_files_of_starts(refused, discovered, tiny_toml, tmp_path, text, lin
     assert line in refused("evaluate", discovered, "--starts", "mine.csv", files=1)
     assert contents(discovered) == before
     assert line in refused("discover", tiny_toml, "--start.use", "file", "--start.file", "mine.csv", files=1)
+
+
+@pytest.mark.parametrize("options", [(), ("--backend", "ray"), ("--backend", "slurm")])
+def test_a_sweep_without_workers(refused, tmp_path, options):
+    (tmp_path / "sweep.toml").write_text('experiments = ["C"]\n')
+    line = refused("sweep", "sweep.toml", "--workers", "0", *options, files=1)
+    assert line.startswith("--workers = 0: must be an integer >= 1")
 
 
 def test_an_experiment_is_a_name_or_a_toml_file(refused, tmp_path):

@@ -380,6 +380,14 @@ def test_impossible_starts_are_refused(positions, message):
         at(env, positions)
 
 
+@pytest.mark.unchecked
+@pytest.mark.parametrize("options", [[1], 3, "positions"])
+def test_options_that_are_no_mapping_are_refused(options):
+    for env in (bare(), adapter.GatheringVectorEnv(2, **SWARM)):
+        with pytest.raises(InputError, match=r"^options = .*: must be a mapping"):
+            env.reset(options=options)
+
+
 def test_unknown_options_are_refused():
     with pytest.raises(InputError, match="positions"):
         bare().reset(options={"position": TRIANGLE})

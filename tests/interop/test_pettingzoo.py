@@ -310,6 +310,17 @@ def test_wrong_keywords_are_refused_by_name(options, field):
     assert error.value.field == field
 
 
+@pytest.mark.unchecked
+def test_options_and_actions_that_are_no_mappings_are_refused():
+    env = make()
+    with pytest.raises(InputError, match=r"^options = 3: must be a mapping"):
+        env.reset(options=3)
+    env.reset(seed=0)
+    for actions in (None, 3, NAMES):
+        with pytest.raises(InputError, match=r"^actions = .*: must be a mapping with one for each of robot_0"):
+            env.step(actions)
+
+
 def test_impossible_starts_are_refused():
     with pytest.raises(InputError, match="apart"):
         at(make(), TRIANGLE * 0.1)

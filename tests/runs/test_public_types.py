@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import typing
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -157,3 +158,37 @@ def test_starts_and_sizes(value, run):
 @pytest.mark.parametrize("value", ["x", None, 1.5, object()])
 def test_episodes(value, run):
     refused("episodes", run.starts, value)
+
+
+@pytest.mark.parametrize("path", ["a" * 5000, "a" * 300, "b/" * 3000, "a\0b"])
+def test_names_that_no_file_can_have(path, run, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    refused("folder", murmurate.load, path)
+    refused("folder", murmurate.load, tmp_path / path)
+    refused("folder", run.save, path)
+    refused("out", murmurate.discover, "C", out=path)
+    refused("path", world.read_starts, path, 3)
+    refused("path", plots.save, Figure(), path)
+    assert not any(tmp_path.iterdir())
+
+
+def test_what_validity_is_judged_by():
+    config, rest, steps = murmurate.WorldConfig(robots=3), np.ones(1, bool), np.zeros(1, int)
+    points = np.zeros((1, 1, 3, 2), np.float32)
+    good = murmurate.Trajectories(points, steps, np.zeros((1, 0), int), rest, ~rest, {}, steps)
+    for positions in (points.tolist(), points.astype(object), points.astype(str), points.astype(complex)):
+        refused("trajectories.positions", murmurate.check_validity, replace(good, positions=positions), config)
+        refused("trajectories.after_rest", murmurate.check_validity, replace(good, after_rest=positions), config)
+    for value in ([True], np.array([0.5]), np.array([1]), None):
+        refused("trajectories.at_rest", murmurate.check_validity, replace(good, at_rest=value), config)
+    for thresholds in (3, ["a"], 0):
+        refused("thresholds", murmurate.check_validity, good, config, thresholds)
+    signal = world.objective_signals("C2")["visible"]
+    for pair in (3, (signal, "x"), (0.5, signal), (signal,), (signal, True)):
+        refused("thresholds['a']", murmurate.check_validity, good, config, {"a": pair})
+
+
+@pytest.mark.parametrize(("dtype", "value"), [(np.float32, 1e20), (np.float64, 1e160), (np.float64, np.inf)])
+def test_a_configuration_whose_squares_overflow(dtype, value):
+    points = np.full((3, 2), value, dtype)
+    refused("positions", murmurate.Configuration, points, murmurate.WorldConfig(robots=3))

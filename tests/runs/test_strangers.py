@@ -344,6 +344,10 @@ def test_rows_of_metrics_that_the_board_cannot_show_are_left_out(strange):
         (["--base.ppo.worlds", "100000000"], "base.ppo.worlds = 100000000: must be at most 29826161 with 3 robots"),
         (["--discovery.sigma", "100000000"], "discovery.sigma = 100000000: must be at most 29826161 with 3 robots"),
         (["--world.radius", "1e-22", "--world.half_width", "1e-22"], "must be at least 1e-09"),
+        (["--rest.window", "20000000"], "rest.window = 20000000: must be at most 4194304 with 3 robots"),
+        (["--policy.hidden", "60000,60000"], "policy.hidden = (60000, 60000): must be small enough: memory holds"),
+        (["--policy", "local", "--policy.hidden", "60000,60000"], "policy.hidden = (60000, 60000): must be small"),
+        (["--policy.hidden", "2147483647,2147483647"], "must be small enough: memory holds 134,217,728 weights"),
     ],
 )
 def test_what_does_not_fit_is_one_line_and_leaves_no_folder(tmp_path, capsys, flags, line):

@@ -9,15 +9,19 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
+import equinox as eqx
+import jax
 import numpy as np
 from jaxtyping import Float
 
-from murmurate.discovery.cascade import MAX_RECORD_BYTES, Cascade
+from murmurate import prng
+from murmurate.discovery.build import build_networks
+from murmurate.discovery.cascade import MAX_RECORD_BYTES, Cascade, RestRule
 from murmurate.discovery.problem import Problem
 from murmurate.discovery.stage import policy_name
 from murmurate.errors import InputError, RunError, check_type
 from murmurate.types import Trajectories
-from murmurate.world import check_pairs, checked_starts
+from murmurate.world import check_pairs, checked_starts, episodes_at_once
 
 __all__ = ["MAX_RECORD_BYTES", "MAX_REST_STEPS", "check_training", "rollout"]
 
@@ -26,6 +30,13 @@ MAX_REST_STEPS = 10_000_000
 
 MAX_STORED_PAIRS = 1 << 30
 """Pairs of robots in all steps between two updates, at most: what each robot sees of each other takes some GiB."""
+
+
+MAX_WEIGHTS = 1 << 27
+"""Weights of the networks, at most: Adam's two moments and the gradients besides, in float32, take 2 GiB."""
+
+MAX_WINDOW_BYTES = 1 << 30
+"""Memory of the changes of the objective that decide about rest, at most."""
 
 
 def check_training(problem: Problem) -> None:
@@ -45,6 +56,37 @@ def check_training(problem: Problem) -> None:
             raise InputError(f"{name}.steps", numbers.steps, f"at most {most} with {numbers.worlds} worlds of {robots}")
     check_pairs("discovery.sigma", problem.discovery.sigma, robots)
     check_pairs("discovery.episodes", problem.discovery.episodes, robots)
+    _check_window(problem.rest_in_steps, robots, problem.scheduler.period)
+    _check_networks(problem)
+
+
+@prng.reproducible()
+def _check_networks(problem: Problem) -> None:
+    """Checks that the weights of the networks fit in memory, without making any.
+
+    A policy from outside the package is left to `check_parts`, which names it in what it raises.
+    """
+    if problem.policy.is_foreign():
+        return
+    networks = eqx.filter_eval_shape(build_networks, problem, jax.eval_shape(lambda: prng.key(0)))
+    weights = sum(leaf.size for leaf in jax.tree.leaves(networks) if isinstance(leaf, jax.ShapeDtypeStruct))
+    if weights > MAX_WEIGHTS:
+        allowed = f"small enough: memory holds {MAX_WEIGHTS:,} weights, and these networks have {weights:,}"
+        raise InputError("policy.hidden", getattr(problem.policy, "hidden", problem.policy), allowed)
+
+
+def _check_window(rest: RestRule, robots: int, period: int = 1) -> None:
+    """Checks that the last changes of the objective fit in memory, one for each episode of a batch and step.
+
+    Args:
+        rest: When a policy has come to rest, in steps.
+        robots: Number of robots.
+        period: Steps in a cycle of the scheduler, where the window was given in cycles.
+    """
+    episodes = episodes_at_once(robots)
+    most = MAX_WINDOW_BYTES // (4 * episodes)
+    if rest.window > most:
+        raise InputError("rest.window", rest.window // period, f"at most {most // period} with {robots} robots")
 
 
 def rollout(
@@ -73,9 +115,7 @@ def rollout(
     episodes, robots, _ = starts.shape
     check_pairs("episodes", episodes, robots)
     rest, policies = cascade.rest, len(cascade.policies)
-    if rest.window > MAX_RECORD_BYTES // (4 * episodes):
-        allowed = f"at most {MAX_RECORD_BYTES // (4 * episodes)} for {episodes} episodes"
-        raise InputError("rest.window", rest.window, allowed)
+    _check_window(rest, robots)
     most = max(MAX_RECORD_BYTES // (starts.size * 4 * policies), 1)
     if rest.max_steps <= most:
         return cascade.rollout(starts, seed, on_chunk)

@@ -84,7 +84,8 @@ def check_validity(
     check_type("trajectories", trajectories, Trajectories, "trajectories, such as run.rollout(20)")
     check_world(world)
     _check(trajectories, world)
-    thresholds = thresholds or {}
+    thresholds = {} if thresholds is None else thresholds
+    _check_thresholds(thresholds)
     contact_free, inside = contact_free_and_inside(trajectories.positions, world)
     pattern = check_pattern(trajectories.final, world, thresholds)
     validity = Validity(
@@ -152,6 +153,14 @@ def _stationary(
 
 def _check(trajectories: Trajectories, world: WorldConfig) -> None:
     """Checks that the episodes can be those of a world, and that there are as many of everything."""
+    arrays = {"positions": ("fiu", "real numbers"), "at_rest": ("b", "booleans"), "after_rest": ("fiu", "real numbers")}
+    for name, (kinds, what) in arrays.items():
+        array = getattr(trajectories, name)
+        if array is None and name == "after_rest":
+            continue
+        if not isinstance(array, np.ndarray) or array.dtype.kind not in kinds:
+            given = f"an array of {array.dtype}" if isinstance(array, np.ndarray) else array
+            raise InputError(f"trajectories.{name}", given, f"a NumPy array of {what}")
     shape = np.shape(trajectories.positions)
     if len(shape) != 4 or shape[1] == 0 or shape[2:] != (world.robots, 2):
         allowed = f"of shape (episodes, steps + 1, {world.robots}, 2), as in the world"
@@ -163,6 +172,16 @@ def _check(trajectories: Trajectories, world: WorldConfig) -> None:
     if len(after) != 4 or (after[0], *after[2:]) != (shape[0], *shape[2:]):
         allowed = f"of shape ({shape[0]}, steps, {world.robots}, 2)"
         raise InputError("trajectories.after_rest", f"an array {after}", allowed)
+
+
+def _check_thresholds(thresholds: Mapping[str, tuple[Signal, float]]) -> None:
+    """Checks the signals that a valid pattern must reach, and their least values."""
+    check_type("thresholds", thresholds, Mapping, "a mapping from names to pairs of a signal and its least value")
+    for name, pair in thresholds.items():
+        field = f"thresholds[{name!r}]"
+        if not isinstance(pair, tuple | list) or len(pair) != 2 or not isinstance(pair[0], Signal):
+            raise InputError(field, pair, "a pair of a signal and its least value")
+        check_number(field, pair[1])
 
 
 def contact_free_and_inside(

@@ -13,7 +13,7 @@ import numpy as np
 from murmurate.errors import InputError
 from murmurate.geometry._batch_last.loops import is_traced
 
-__all__ = ["check_length", "check_vectors", "pairs_first", "robots_first", "to_batch_last", "to_last"]
+__all__ = ["check_length", "check_squares", "check_vectors", "pairs_first", "robots_first", "to_batch_last", "to_last"]
 
 VECTORS = "finite numbers of shape (..., robots, 2)"
 
@@ -47,13 +47,30 @@ def check_vectors(field: str, vectors: Any) -> tuple[Any, Any]:
         finite = np.isfinite(numbers).all(axis=-1)
         if not finite.all():
             raise InputError(field, numbers[~finite][0].tolist(), VECTORS)
-        # Squares of greater numbers overflow: robots at one place would seem to be infinitely far apart.
-        limit = math.sqrt(float(xp.finfo(vectors.dtype).max)) / 4
-        small = (np.abs(numbers) <= limit).all(axis=-1)
-        if not small.all():
-            bound = f"{VECTORS} and of magnitude up to {limit:.2g} in {np.dtype(vectors.dtype)}"
-            raise InputError(field, numbers[~small][0].tolist(), bound)
+        check_squares(field, vectors, VECTORS)
     return xp, vectors
+
+
+def check_squares(field: str, array: Any, allowed: str) -> None:
+    """Checks that no square overflows: robots at one place would seem to be infinitely far apart. NaN passes.
+
+    Args:
+        field: What the numbers are, for messages.
+        array: A floating-point array.
+        allowed: What else they must be, for messages.
+
+    Raises:
+        InputError: One does.
+    """
+    if is_traced(array):
+        return
+    limit = math.sqrt(float(array.__array_namespace__().finfo(array.dtype).max)) / 4
+    numbers = np.asarray(array, dtype=float)
+    great = np.abs(numbers) > limit
+    if great.any():
+        raise InputError(
+            field, numbers[great][0].item(), f"{allowed} and of magnitude up to {limit:.2g} in {np.dtype(array.dtype)}"
+        )
 
 
 def to_batch_last(field: str, vectors: Any) -> tuple[Any, Any]:

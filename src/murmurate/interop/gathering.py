@@ -52,6 +52,7 @@ __all__ = [
     "Observe",
     "Options",
     "StepResult",
+    "check_options",
     "make_gathering",
     "numbers",
 ]
@@ -147,6 +148,7 @@ class Gathering:
         Raises:
             InputError: They have another shape, are not finite, in contact, or outside the world.
         """
+        check_options(options)
         if not options or options.get("positions") is None:
             return None
         given = numbers("positions", options["positions"], (*mask.shape, self.config.robots, 2), mask)
@@ -283,6 +285,16 @@ def numbers(
     if not np.isfinite(array if mask is None else array[mask]).all():
         raise InputError(name, "an array with NaN or infinity", "finite")
     return array.astype(float)
+
+
+def check_options(options: object) -> None:
+    """Checks the options of a reset.
+
+    Raises:
+        InputError: They are neither a mapping nor None.
+    """
+    if not isinstance(options, Mapping | None):
+        raise InputError("options", options, "a mapping from the names of options to their values, or None")
 
 
 class StepResult(NamedTuple):

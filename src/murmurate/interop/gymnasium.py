@@ -25,7 +25,7 @@ except ModuleNotFoundError as error:
 
 from murmurate.errors import InputError, check_choice, check_number
 from murmurate.geometry import _batch_last
-from murmurate.interop.gathering import FPS, Camera, Episodes, Gathering, Observe, make_gathering
+from murmurate.interop.gathering import FPS, Camera, Episodes, Gathering, Observe, check_options, make_gathering
 from murmurate.world import State, World
 
 __all__ = ["ENV_ID", "GatheringEnv", "GatheringVectorEnv", "register"]
@@ -202,11 +202,11 @@ class GatheringVectorEnv(VectorEnv[Any, Float[np.ndarray, "envs robots 2"], np.n
         if not isinstance(autoreset_mode, AutoresetMode):
             check_choice("autoreset_mode", autoreset_mode, [mode.value for mode in AutoresetMode])
         observe = _observe(observations)
-        self._mode = AutoresetMode(autoreset_mode)
+        self.autoreset_mode = AutoresetMode(autoreset_mode)
         self._gathering = make_gathering({"robots": robots, "objective": objective, **options})
         self._camera = Camera(self._gathering, render_mode, self.metadata["render_modes"])
         self._episodes = Episodes(self._gathering.environment(), observe, num_envs)
-        self.metadata = {**self.metadata, "autoreset_mode": self._mode}
+        self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
         self.render_mode = render_mode
         self.num_envs = num_envs
         self._rngs: list[np.random.Generator] | None = None
@@ -261,18 +261,18 @@ class GatheringVectorEnv(VectorEnv[Any, Float[np.ndarray, "envs robots 2"], np.n
             ResetNeeded: An episode is not under way.
         """
         before = self._episodes.ended
-        if not self._episodes.started or (self._mode is AutoresetMode.DISABLED and before.any()):
+        if not self._episodes.started or (self.autoreset_mode is AutoresetMode.DISABLED and before.any()):
             raise ResetNeeded("not all episodes are under way: call reset() before step()")
         velocities = self._gathering.velocities(actions, (self.num_envs, self._gathering.config.robots, 2))
         reward, terminated, truncated, _ = self._episodes.step(velocities)
         self._camera.follow(self._episodes)
         final: dict[str, Any] = {}
-        if self._mode is AutoresetMode.NEXT_STEP and before.any():
+        if self.autoreset_mode is AutoresetMode.NEXT_STEP and before.any():
             # These episodes had ended: their step is discarded, and they begin anew.
             self._episodes.begin(self._randomness, before)
             self._camera.follow(self._episodes, before)
             reward[before], terminated[before], truncated[before] = 0, False, False
-        elif self._mode is AutoresetMode.SAME_STEP and self._episodes.ended.any():
+        elif self.autoreset_mode is AutoresetMode.SAME_STEP and self._episodes.ended.any():
             ended = self._episodes.ended
             final = self._final(ended)
             self._episodes.begin(self._randomness, ended)
@@ -396,7 +396,8 @@ def _member(observation: Any, index: int) -> Any:
 
 
 def _check_options(options: dict[str, Any] | None, known: tuple[str, ...]) -> None:
-    """Checks the names of a reset's options."""
+    """Checks a reset's options: what they are, and their names."""
+    check_options(options)
     for name, value in (options or {}).items():
         if name not in known:
             raise InputError(f"options[{name!r}]", value, f"left out: options are {', '.join(known)}")

@@ -150,8 +150,9 @@ class GatheringParallelEnv(ParallelEnv[str, Rows, Velocity]):
         self._check_started("step()")
         if not self.agents:
             return {}, {}, {}, {}, {}
-        if actions.keys() != set(self.agents):
-            raise InputError("actions", list(actions), f"one for each of {', '.join(self.agents)}")
+        if not isinstance(actions, Mapping) or actions.keys() != set(self.agents):
+            given = list(actions) if isinstance(actions, Mapping) else actions
+            raise InputError("actions", given, f"a mapping with one for each of {', '.join(self.agents)}")
         # Each robot's action is checked alone, so that the message names its shape.
         velocities = np.stack([self._gathering.velocities(actions[name], (2,)) for name in self.possible_agents])
         result = self._episodes.step(velocities[None])

@@ -71,8 +71,8 @@ class Ray(WorkerExecutor):
         retries: int = 2,
     ) -> None:
         resources = resources or Resources()
-        if address is None:
-            workers = workers or max(1, count_cores() // resources.threads)
+        if address is None and workers is None:
+            workers = max(1, count_cores() // resources.threads)
         super().__init__(workers, resources, retries)
         # Before Ray is loaded: it sends no usage statistics, and a cluster of one machine listens on its loopback only.
         os.environ["RAY_USAGE_STATS_ENABLED"] = "0"

@@ -297,7 +297,8 @@ class LocalProcesses(WorkerExecutor):
         if resources.gpus > len(devices):
             raise InputError("--gpus", resources.gpus, f"at most {len(devices)}, the GPUs of this machine")
         limit = len(devices) // resources.gpus if resources.gpus else None
-        workers = workers or limit or max(1, count_cores() // resources.threads)
+        if workers is None:
+            workers = limit or max(1, count_cores() // resources.threads)
         check_number("--workers", workers, 1, limit, integer=True)
         super().__init__(workers, resources, retries)
         # Groups of GPUs, of which each worker takes one and gives it back.

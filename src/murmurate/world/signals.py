@@ -17,6 +17,7 @@ from jaxtyping import Bool, Float
 
 from murmurate.errors import MAX_MAGNITUDE, InputError, check_choice, check_number, check_type
 from murmurate.geometry import _batch_last
+from murmurate.geometry._checks import check_squares
 from murmurate.registry import Strategy
 from murmurate.representation import short_repr
 from murmurate.world.config import WorldConfig, check_world
@@ -46,6 +47,7 @@ class Configuration:
             raise InputError("positions", positions, allowed) from None
         if self.positions.ndim < 2 or self.positions.shape[1] != 2:
             raise InputError("positions", self.positions.shape, allowed)
+        check_squares("positions", self.positions, allowed)
         check_world(world)
         self.world = world
 

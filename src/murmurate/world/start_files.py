@@ -85,7 +85,8 @@ def read_named_starts(path: str | Path, robots: int) -> dict[str, Float[np.ndarr
 def _coordinate(source: str, line: int, row: dict[str, str | None], column: str) -> float:
     text = row[column]
     try:
-        value = float(text or "")
+        # Python reads 5_0 as 50; nobody else does, and the digit is more likely to be a slip.
+        value = math.nan if "_" in (text or "") else float(text or "")
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
