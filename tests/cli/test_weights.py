@@ -140,7 +140,7 @@ def test_flags_of_show_that_do_not_go_together(arguments, part, tmp_path, monkey
     ("arguments", "parts"),
     [
         (["--robots", "1"], ["robots = 1: must be an integer >= 2"]),
-        (["--start", "file"], ["start = 'file': must be one of random, scattered, distributed, packed"]),
+        (["--start", "file"], ["start = 'file': must be one of random, polygon, line, grid"]),
         (["--objective", "C3"], ["objective = 'C3': must be one of C1, C2"]),
         (["--robots", "many"], ["--robots"]),
     ],

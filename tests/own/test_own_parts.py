@@ -111,7 +111,7 @@ def test_every_verb_takes_it_when_it_is_trusted(run, tmp_path, capsys):
 
 def test_a_stranger_s_run_imports_nothing(run, tmp_path):
     copy = shutil.copytree(run, tmp_path / "run")
-    for verb in ("evaluate", "show", "table", "catalogue", "export"):
+    for verb in ("evaluate", "show", "table", "catalogue", "export", "compare"):
         arguments = [verb, copy, *(["--onnx"] if verb == "export" else [])]
         ended = in_another_process(*arguments, cwd=tmp_path)
         assert ended.returncode == 2, verb

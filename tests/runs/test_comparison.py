@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import types
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,14 +11,14 @@ import jax
 import numpy as np
 import pytest
 
-from murmurate.discovery import Cascade
+from murmurate.discovery import Cascade, Trajectories
 from murmurate.errors import InputError, RunError
-from murmurate.runs import comparison, comparison_page, live_table
-from murmurate.runs.comparison import Comparison, Condition, ConditionJob, compare, conditions
+from murmurate.runs import comparison, comparison_page, config_io, live_table
+from murmurate.runs.comparison import Comparison, Condition, ConditionJob, compare, conditions, shared_experiment
 from murmurate.runs.execute import LocalProcesses
 from murmurate.runs.jobs import JobStatus
 from murmurate.runs.run import Run
-from murmurate.world import check_configurations
+from murmurate.world import check_configurations, scaled_to
 from murmurate.world.start_sets import draw_set
 from tiny import tiny
 
@@ -127,6 +128,80 @@ def test_a_baseline_of_ones_own_is_compared_here_and_in_a_process(setting, runs,
     assert [path.name for path in (tmp_path / "there").iterdir()] == [comparison.COMPARISON]
 
 
+FAULTY = """
+import jax.numpy as jnp
+
+from murmurate import Baseline
+
+
+class Faulty(Baseline):
+    dtype = jnp.float32
+    number = 0.0
+
+    def __call__(self, observation):
+        return jnp.full((self.world.robots, 2, observation.view.x.shape[-1]), self.number, self.dtype)
+
+
+class Flat(Faulty):
+    def __call__(self, observation):
+        return super().__call__(observation)[0]
+
+
+class Half(Faulty):
+    dtype = jnp.float16
+
+
+class Whole(Faulty):
+    dtype = jnp.int32
+
+
+class Undefined(Faulty):
+    number = jnp.nan
+
+
+class Broken(Faulty):
+    def __call__(self, observation):
+        return observation.colours
+
+
+class Gain(Faulty):
+    gain: float
+"""
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("Flat", "a class whose __call__ returns float32[3, 2, 2] for 2 configurations, not float32[2, 2]"),
+        ("Half", "a class whose __call__ returns float32[3, 2, 2] for 2 configurations, not float16[3, 2, 2]"),
+        ("Whole", "a class whose __call__ returns float32[3, 2, 2] for 2 configurations, not int32[3, 2, 2]"),
+        ("Undefined", "one whose velocities are finite numbers"),
+        ("Broken", "a class that can be evaluated (AttributeError: 'Observation' object has no attribute 'colours')"),
+        ("Gain", "a class whose field gain has a default"),
+    ],
+)
+def test_a_faulty_baseline_is_refused_before_anything_runs(name, message, setting, tmp_path, monkeypatch):
+    (tmp_path / "faulty.py").write_text(FAULTY)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(comparison, "_evaluate", lambda *_: pytest.fail("evaluated"))
+    method = f"faulty:{name}"
+    wanted = conditions(["random", method], ["visible"], ["fsync"], [3], known=NAMES)
+    with pytest.raises(InputError) as error:
+        compare(setting, wanted, {}, tmp_path / "out")
+    assert str(error.value) == f"method = {method!r}: must be {message}"
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_comparison_that_fails_leaves_nothing(setting, tmp_path, monkeypatch):
+    monkeypatch.setattr(comparison, "_measure", lambda *_: pytest.fail("measured"))
+    diverged = [types.SimpleNamespace(final=np.full((4, 3, 2), np.nan))]
+    monkeypatch.setattr(comparison, "_rollouts", lambda *_: diverged)
+    wanted = conditions(["random"], ["visible"], ["fsync"], [3], known=NAMES)
+    with pytest.raises(InputError, match=r"^method = 'random': must be one whose velocities are finite numbers"):
+        compare(setting, wanted, {}, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
 def test_the_driver_of_workers_reads_how_far_each_condition_is(setting, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(live_table, "DRAW_SECONDS", 0.0)
     monkeypatch.setattr(comparison, "_evaluate", lambda *args: args[-1]("episodes", 512, 1000, steps="step 9") or {})
@@ -201,6 +276,86 @@ def test_another_comparison_is_not_mixed_in(done, setting, runs):
         compare(replace(setting, seed=1), wanted, runs, folder)
 
 
+@pytest.mark.parametrize(
+    ("name", "changed"),
+    [
+        ("shield", {"shield": {"use": "walls"}}),
+        ("rest", {"rest": {"stillness": 0.01}}),
+        ("valid", {"valid": {"safety": 0.9}}),
+        ("signals", {"signals": {"calm": {"use": "own.mine:Calm"}}}),
+        ("starts", {"start": {"use": "scattered"}}),
+    ],
+)
+def test_rows_of_other_settings_are_not_reused(name, changed, done, setting, runs):
+    folder, wanted, _ = done
+    base = config_io.replaced(setting.base, changed)
+    with pytest.raises(RunError, match=f"holds another comparison: {name} is .* there, .* here; choose another folder"):
+        compare(replace(setting, base=base), wanted, runs, folder)
+
+
+def test_rows_of_other_starts_are_kept_beside_each_other(done, setting, runs, monkeypatch):
+    """Where the experiment begins matters to rows of random starts alone."""
+    folder, _, _ = done
+    monkeypatch.setattr(comparison, "_evaluate", lambda *_: pytest.fail("evaluated"))
+    before = comparison.load(folder)["rows"]
+    assert (
+        compare(replace(setting, base=config_io.replaced(setting.base, {"start": "scattered"})), [], {}, folder) == []
+    )
+    assert comparison.load(folder)["rows"] == before
+    assert comparison.load(folder)["starts"]["random"]["use"] == "random"
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"rest": {"max_steps": 21}}, "rest.max_steps = 21: must be 20 in other as in first"),
+        ({"shield": {"use": "walls"}}, "shield.use = 'walls': must be 'none' in other as in first"),
+        ({"objective": "C1"}, "objective = 'C1': must be 'C2' in other as in first"),
+        ({"valid": {"safety": 0.9}}, "valid.safety = 0.9: must be None in other as in first"),
+        ({"world": {"safe_distance": 4.5}}, "world.safe_distance = 4.5: must be 4.0 in other as in first"),
+        ({"signals": {"calm": {"use": "own.mine:Calm"}}}, "signals.calm.use = 'own.mine:Calm': must be None in other"),
+    ],
+)
+def test_runs_at_other_tasks_are_not_compared(changed, message, setting):
+    base = tiny(policy={"use": "local", "hidden": [8, 4]})
+    with pytest.raises(InputError) as error:
+        shared_experiment({"first": base, "other": config_io.replaced(base, changed)})
+    assert str(error.value).startswith(message)
+
+
+def test_runs_of_other_sizes_starts_and_sensing_are_compared():
+    base = tiny(policy={"use": "local", "hidden": [8, 4]})
+    changed = {"sensing": {"use": "global"}, "scheduler": {"use": "ssync"}, "start": {"use": "random"}, "seed": 3}
+    other = replace(config_io.replaced(base, changed), world=scaled_to(base.world, 7))
+    assert shared_experiment({"first": base, "other": other}) is base
+
+
+def test_contact_and_leaving_are_counted_apart(setting):
+    """Two robots touch, one leaves, and both happen in the same step; another episode is a valid pattern."""
+    world = setting.base.world
+    still = np.array([[0, 0], [5, 0], [0, 5]], np.float32)
+    ends = np.stack([still] * 4)
+    ends[[0, 2], 0] = [4.5, 0]
+    ends[[1, 2], 2] = [0, 13]
+    positions = np.stack([np.stack([still] * 4), ends], axis=1)
+    flags = np.ones(4, bool)
+    episodes = Trajectories(
+        positions=positions,
+        lengths=np.ones(4, np.int32),
+        switch=np.zeros((4, 0), np.int32),
+        at_rest=flags,
+        terminated=~flags,
+        epochs=np.ones(4, np.int32),
+        signals={"close": np.ones((4, 2))},
+        after_rest=ends[:, None],
+    )
+    assert world.half_width == 12
+    measured = comparison._measure(setting.base, episodes)
+    assert measured["collided"].tolist() == [True, False, True, False]
+    assert measured["left"].tolist() == [False, True, True, False]
+    assert measured["valid"].tolist() == [False, False, False, True]
+
+
 def test_symmetric_starts_are_cells_of_their_own(setting):
     wanted = conditions(["circle"], ["visible"], ["fsync"], [3, 5], ["rings", "line"], ["circle"])
     assert [(condition.start, condition.robots) for condition in wanted] == [("rings", 5), ("line", 3), ("line", 5)]
@@ -218,12 +373,12 @@ def test_symmetric_starts_are_cells_of_their_own(setting):
 
 def test_starts_of_sets_are_cells_of_their_own_whatever_the_seed(setting, monkeypatch):
     monkeypatch.setattr(comparison, "MAX_PAIRS", 8 * 3**2)
-    for start in comparison.STARTS[5:]:
+    for start in (*comparison.SETS, "hard"):
         (condition,) = conditions(["circle"], ["visible"], ["fsync"], [3], [start], ["circle"])
         problem = setting.problem(condition)
-        draws = [
-            comparison._draws(problem, problem.start, start, jax.random.key(seed), setting.episodes) for seed in (0, 1)
-        ]
+        strategy, count = setting.start(start), setting.episodes
+        keys = [jax.random.key(seed) for seed in (0, 1)]
+        draws = [comparison._draws(problem.world, strategy, start, key, count) for key in keys]
         first, second = (np.concatenate([draw(0, 8), draw(8, 8)]) for draw in draws)
         if start == "hard":
             assert (first != second).any()

@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 
 import murmurate
+from murmurate.cli.arguments import START_NAMES
 from murmurate.cli.main import main
 from murmurate.errors import InputError, RunError
 from murmurate.runs import files
 from murmurate.runs.evaluate import evaluate
 from murmurate.runs.folder import RunFolder, describe_starts
-from murmurate.runs.given_starts import given_starts, start_names
-from murmurate.world import ClusterStart, Start, WorldConfig, read_starts, start_set
+from murmurate.runs.given_starts import find_start, given_starts, start_names
+from murmurate.world import ClusterStart, Start, SymmetricStart, WorldConfig, read_starts, start_set
 from murmurate.world.start_sets import draw_set, set_world
 
 WORLD = set_world(3)
@@ -84,7 +85,7 @@ def test_a_registered_name_wins_over_a_file(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("starts", "message"),
     [
-        ("clustre", r"^starts = 'clustre': must be one of scattered, .*, or a CSV file; did you mean cluster\?"),
+        ("clustre", r"^starts = 'clustre': must be one of random, .*, or a CSV file; did you mean cluster\?"),
         ("no.csv", "no.csv': must be a readable CSV file"),
         ("rings", "robots = 3: must be at least 4 for the start rings"),
         (3.0, "starts = .*: must be finite numbers of shape"),
@@ -142,3 +143,56 @@ def test_the_verb_lists_the_sets(capsys):
     assert len(lines) == 10
     assert "murmurate-1/cluster: N = 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 24, 32, 64, 128" in lines
     assert lines[-1].startswith("murmurate-1/rings: N = 4, 5")
+
+
+def test_a_class_of_ones_own_is_drawn_with_its_defaults():
+    chosen = given("own.mine:Rings", episodes=3)
+    assert chosen.source == {"kind": "drawn", "name": "own.mine:Rings"}
+    assert chosen.points.shape == (3, 3, 2)
+    # On two rings of 8 and 4, up to 1 away in each coordinate.
+    radii = np.linalg.norm(chosen.points, axis=2)
+    assert (np.abs(radii - np.array([8.0, 4.0, 8.0])) <= 2**0.5).all()
+
+
+def test_every_verb_takes_the_same_names():
+    names = start_names()
+    assert f"{', '.join(names)}, or module:Class" == START_NAMES
+    assert {find_start(name).name for name in names} == set(Start.registered()) - {"file", "mixture"}
+    assert find_start("line") == SymmetricStart("line")
+
+
+@pytest.mark.parametrize(
+    ("words", "field", "also"),
+    [
+        (["evaluate", "RUN", "--starts"], "starts", '"module:Class", or a CSV file'),
+        (["show", "--robots", "3", "--start"], "start", 'or "module:Class"'),
+        (["compare", "--robots", "3", "--out", "OUT", "--starts"], "start", 'or "module:Class"'),
+    ],
+)
+def test_every_verb_refuses_starts_in_the_same_words(words, field, also, tiny_run, tmp_path, capsys):
+    places = {"RUN": str(tiny_run()), "OUT": str(tmp_path / "out")}
+    arguments = [places.get(word, word) for word in words]
+    for start, message in (
+        ("clustre", f"must be one of {', '.join(start_names())}, {also}; did you mean cluster?"),
+        ("nowhere:Start", "must be a class murmurate.Start as module:Class that can be imported (ModuleNotFoundError"),
+        ("own.mine:Calm", "must be a class murmurate.Start as module:Class; this is no subclass of it"),
+    ):
+        assert main([*arguments, start]) == 2
+        error = capsys.readouterr().err
+        assert error.startswith(f"murmurate: {field} = {start!r}: {message}")
+        assert error.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_weights_are_shown_from_a_start_of_ones_own(monkeypatch, tmp_path):
+    shown = []
+
+    def stop(run, *_, **__):
+        shown.append(run.experiment.start)
+        raise InputError("episodes", 0, "enough for this test")
+
+    monkeypatch.setattr("murmurate.runs.evaluate.evaluate", stop)
+    monkeypatch.chdir(tmp_path)
+    for start in ("own.mine:Rings", "polygon"):
+        assert main(["show", "--robots", "4", "--start", start, "--quiet"]) == 2
+    assert [start.name for start in shown] == ["own.mine:Rings", "symmetric"]

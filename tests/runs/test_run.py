@@ -66,7 +66,7 @@ def test_one_configuration_is_one_episode(run):
         (0, "episodes = 0: must be an integer >= 1 and <= 10000"),
         (10_001, "episodes = 10001: must be"),
         (np.zeros((2, 2)), "starts = 'an array (1, 2, 2)': must be of shape (episodes, 3, 2)"),
-        ("x", "starts = 'x': must be one of scattered, distributed, packed, random"),
+        ("x", "starts = 'x': must be one of random, polygon, line, grid, rings"),
         (object(), "starts = <object object at "),
         (np.zeros(6), "starts = 'an array (6,)': must be of shape (episodes, 3, 2)"),
         (np.zeros((0, 3, 2)), "episodes = 0"),

@@ -20,7 +20,13 @@ from murmurate.errors import InputError, UsageError, suggestion
 from murmurate.runs import config_io
 from murmurate.terminal import say_text
 
-__all__ = ["Parser", "chosen_strategies"]
+__all__ = ["START_NAMES", "Parser", "chosen_strategies"]
+
+START_NAMES = (
+    "random, polygon, line, grid, rings, cluster, corner, wall, walls, tight-grid, scattered, distributed, packed, "
+    "symmetric, hard, or module:Class"
+)
+"""The starts that a word chooses, for the help: `given_starts.start_names` would load JAX."""
 
 
 class Parser(argparse.ArgumentParser):

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from murmurate.cli.arguments import Parser
+from murmurate.cli.arguments import START_NAMES, Parser
 from murmurate.errors import InputError, RunError, printable
 from murmurate.terminal import say, say_text
 
@@ -26,14 +26,17 @@ def run(argv: Sequence[str]) -> int:
     """Runs the verb; returns 0."""
     text = "Runs methods from the same starts, with the same sensing and schedulers; writes a table and two figures."
     parser = Parser("compare", "[RUN...]", text)
-    text = "finished runs of the policy local (default: the package's weights, called learned)"
+    text = "finished runs of a policy that acts on what robots perceive, such as local, with the same world, "
+    text += "objective, rest rule and shield (default: the package's weights, called learned)"
     parser.add_argument("runs", metavar="RUN", nargs="*", help=text)
     text = "which of the runs, by name, and baselines, of one's own as module:Class (default: all)"
     parser.add_argument("--methods", metavar="A,B", help=text)
     parser.add_argument("--robots", metavar="N,N", default="4,8,12,16", help="swarm sizes (default: 4,8,12,16)")
-    parser.add_argument("--sensing", metavar="A,B", default="visible", help="what robots perceive (default: visible)")
-    parser.add_argument("--schedulers", metavar="A,B", default="fsync", help="when they move (default: fsync)")
-    text = "random, polygon, line, grid, rings, hard, and the sets cluster, corner, wall, walls, tight-grid"
+    text = "what robots perceive: global, visible, chiral, noisy, or module:Class (default: visible)"
+    parser.add_argument("--sensing", metavar="A,B", default="visible", help=text)
+    text = "when they move: fsync, ssync, adversarial, async, async-nonrigid, or module:Class (default: fsync)"
+    parser.add_argument("--schedulers", metavar="A,B", default="fsync", help=text)
+    text = f"{START_NAMES} (default: random, which is where the first run's experiment begins)"
     parser.add_argument("--starts", metavar="A,B", default="random", help=text)
     parser.add_argument("--objective", metavar="C1|C2", default="C2", help="of the package's weights (default: C2)")
     text = "starts for each condition (default: 1000)"
@@ -45,6 +48,8 @@ def run(argv: Sequence[str]) -> int:
     parser.add_argument("--into", metavar="FILE.md", help=text)
     text = "evaluate in so many processes of one core each (default: one condition after the other, on all cores)"
     parser.add_argument("--workers", type=int, metavar="INT", help=text)
+    text = "import the modules that the runs name, which executes them"
+    parser.add_argument("--trust", action="store_true", help=text)
     parser.add_argument("--quiet", action="store_true", help="do not show the progress")
     parser.epilog = "Conditions that are done are not evaluated again: after an interruption, give the same command."
     options, _ = parser.parse(argv)
@@ -59,35 +64,47 @@ def run(argv: Sequence[str]) -> int:
 
 def _compare(options: Namespace, command: str) -> None:
     from murmurate.policies.baselines import Baseline
-    from murmurate.runs.comparison import Comparison, compare, conditions
+    from murmurate.runs.comparison import Comparison, compare, conditions, shared_experiment
     from murmurate.runs.execute import InProcess, LocalProcesses
 
     executor = InProcess() if options.workers is None else LocalProcesses(options.workers)
     sizes = [_whole(word) for word in _words(options.robots, "--robots")]
     sensings, schedulers = _words(options.sensing, "--sensing"), _words(options.schedulers, "--schedulers")
     starts = _words(options.starts, "--starts")
+    opened = _opened(options.runs, options.trust)
     conditions([], sensings, schedulers, sizes, starts)
-    runs = _runs(options, sensings)
+    runs = {name: dict.fromkeys(sensings, run) for name, run in opened.items()} or _weights(options, sensings)
     names = [*runs, *Baseline.registered()]
     methods = names if options.methods is None else _words(options.methods, "--methods")
     wanted = conditions(methods, sensings, schedulers, sizes, starts, names)
-    base = next(iter(next(iter(runs.values())).values())).experiment
+    learned = [name for name in runs if name in methods] or list(runs)[:1]
+    base = shared_experiment({name: next(iter(runs[name].values())).experiment for name in learned})
     comparison = Comparison(base, options.episodes, options.seed)
     rows = compare(comparison, wanted, runs, options.out, executor, command=command, quiet=options.quiet)
     say_text("\n".join(map(_line, rows)))
     _write(options, comparison)
 
 
-def _runs(options: Namespace, sensings: Sequence[str]) -> dict[str, dict[str, Run]]:
-    """Returns the learned methods by name, and by what robots perceive."""
+def _weights(options: Namespace, sensings: Sequence[str]) -> dict[str, dict[str, Run]]:
+    """Returns the package's weights by what robots perceive: for a user's own sensing, those for visible robots."""
+    from murmurate.runs.comparison import SENSINGS
     from murmurate.runs.pretrained import pretrained
+
+    return {
+        LEARNED: {
+            sensing: pretrained(options.objective, sensing if sensing in SENSINGS else "visible")
+            for sensing in sensings
+        }
+    }
+
+
+def _opened(folders: Sequence[str], trust: bool) -> dict[str, Run]:
+    """Returns the runs by the names of their folders."""
     from murmurate.runs.run import Run
 
-    if not options.runs:
-        return {LEARNED: {sensing: pretrained(options.objective, sensing) for sensing in sensings}}
-    runs: dict[str, dict[str, Run]] = {}
-    for word in options.runs:
-        opened = Run.open(word)
+    runs: dict[str, Run] = {}
+    for word in folders:
+        opened = Run.open(word, trust)
         policy = opened.experiment.policy
         if not policy.perceives:
             raise InputError(
@@ -96,7 +113,7 @@ def _runs(options: Namespace, sensings: Sequence[str]) -> dict[str, dict[str, Ru
         name = Path(word).name
         if name in runs:
             raise InputError("RUN", word, f"of another name than the others: {name} is there already")
-        runs[name] = dict.fromkeys(sensings, opened)
+        runs[name] = opened
     return runs
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from murmurate.cli.arguments import Parser
+from murmurate.cli.arguments import START_NAMES, Parser
 from murmurate.terminal import say
 
 __all__ = ["run"]
@@ -18,8 +18,7 @@ def run(argv: Sequence[str]) -> int:
     parser.add_argument("--episodes", type=int, metavar="INT", help=episodes)
     seed = "seed of the fresh starts, of frames, noise and scheduler (default: 0)"
     parser.add_argument("--seed", type=int, metavar="INT", help=seed)
-    starts = "a set (random, cluster, corner, wall, walls, tight-grid, polygon, line, grid, rings), another registered "
-    starts += "start (such as hard: any of these), or a file start,x,y: one row a robot, every start in file order"
+    starts = f"{START_NAMES}; or a file start,x,y: one row a robot, every start in file order. The first ten are sets"
     parser.add_argument("--starts", metavar="NAME|FILE.csv", help=starts)
     parser.add_argument("--out", metavar="DIR", help="leave RUN as it is, and write a copy with the new evaluation")
     parser.add_argument("--trust", action="store_true", help="import the modules that RUN names, which executes them")

@@ -8,8 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from murmurate.cli.arguments import Parser
-from murmurate.errors import UsageError, check_choice, escaped
+from murmurate.cli.arguments import START_NAMES, Parser
+from murmurate.errors import UsageError, escaped
 from murmurate.terminal import say
 
 if TYPE_CHECKING:
@@ -26,20 +26,6 @@ PRETRAINED: dict[str, Any] = {
     "seed": 0,
 }
 """The options of the package's weights, with their defaults."""
-
-STARTS = (
-    "random",
-    "scattered",
-    "distributed",
-    "packed",
-    "symmetric",
-    "cluster",
-    "corner",
-    "wall",
-    "walls",
-    "tight-grid",
-    "hard",
-)
 
 EPISODES = 32
 """Starts from which the package's weights form patterns, to draw a typical one; fewer for large swarms."""
@@ -60,7 +46,7 @@ def run(argv: Sequence[str]) -> int:
     text = "import the modules that the runs name, which executes them"
     parser.add_argument("--trust", action="store_true", help=text)
     parser.add_argument("--robots", type=int, metavar="INT", help="swarm size, without RUN (default: 8)")
-    parser.add_argument("--start", metavar="KIND", help=f"{', '.join(STARTS[:-1])} or {STARTS[-1]} (default: random)")
+    parser.add_argument("--start", metavar="NAME", help=f"{START_NAMES} (default: random)")
     parser.add_argument("--objective", metavar="C1|C2", help="where to gather: C2 anywhere (default), C1 at the origin")
     parser.add_argument("--sensing", metavar="NAME", help="visible (default), global, chiral or noisy")
     parser.add_argument("--scheduler", metavar="NAME", help="when they move (default: fsync)")
@@ -98,12 +84,13 @@ def _form_patterns(
     from murmurate.cli.progress import Progress
     from murmurate.runs.evaluate import evaluate
     from murmurate.runs.folder import RunFolder
-    from murmurate.world import Start
+    from murmurate.runs.given_starts import find_start
 
-    check_choice("start", start, STARTS)
+    begin = find_start(start, "start")
     run = pretrained(objective, sensing, scheduler).of_size(robots)
-    run = run.under(replace(run.experiment, sizes=(), start=Start.registered()[start]()))
-    folder = Path(options.out or f"runs/{objective}-{sensing}-{scheduler}-{robots}-{start}-seed{seed}")
+    run = run.under(replace(run.experiment, sizes=(), start=begin))
+    name = start.replace(":", "-")  # no system allows a colon everywhere in a path
+    folder = Path(options.out or f"runs/{objective}-{sensing}-{scheduler}-{robots}-{name}-seed{seed}")
     if options.animation is None:
         RunFolder(folder).inspect()  # before patterns are formed
     episodes = max(1, min(EPISODES, MAX_PAIRS // robots**2))

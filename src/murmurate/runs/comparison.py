@@ -9,57 +9,59 @@ import contextlib
 import functools
 import hashlib
 import itertools
+import math
 import re
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import MISSING, asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, cast, get_args
+from typing import Any, TypeVar
 
+import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, PRNGKeyArray
 
 from murmurate import prng
 from murmurate.analysis.optimum.best_known import best_known
 from murmurate.analysis.optimum.formation import Target
-from murmurate.discovery import Trajectories, bound_steps, build_cascade, check_validity, rollout
+from murmurate.discovery import Trajectories, bound_steps, build_cascade, check_parts, check_validity, rollout
 from murmurate.errors import (
     MAX_MAGNITUDE,
     InputError,
     RunError,
-    check_choice,
     check_number,
     check_path,
     check_type,
+    one_line,
     printable,
     shown,
 )
 from murmurate.geometry import neighbors_and_visible
 from murmurate.policies import LocalPolicy
 from murmurate.policies.baselines import Baseline
-from murmurate.registry import Importer
+from murmurate.registry import Importer, Strategy
 from murmurate.runs import config_io, files, progress
 from murmurate.runs.evaluate import wilson
 from murmurate.runs.execute import Executor, InProcess, locked, run_jobs
 from murmurate.runs.experiment import ExperimentConfig, check_seed, make_importer
 from murmurate.runs.folder import trained_checksums
+from murmurate.runs.given_starts import find_start, start_names
 from murmurate.runs.jobs import Job, Progress
 from murmurate.runs.run import MAX_EPISODES, Run
 from murmurate.world import (
     MAX_ROBOTS,
     AsyncScheduler,
-    Family,
     FsyncScheduler,
     GlobalSensing,
-    HardStart,
     Scheduler,
     Sensing,
     SsyncScheduler,
     Start,
-    SymmetricStart,
     VisibleSensing,
     WorldConfig,
+    check_start,
     draw_starts,
     scaled_to,
 )
@@ -69,7 +71,6 @@ __all__ = [
     "COMPARISON",
     "SCHEDULERS",
     "SENSINGS",
-    "STARTS",
     "Comparison",
     "Condition",
     "ConditionJob",
@@ -79,6 +80,7 @@ __all__ = [
     "find_baseline",
     "is_baseline",
     "load",
+    "shared_experiment",
     "sorted_rows",
 ]
 
@@ -102,14 +104,13 @@ SCHEDULERS: dict[str, Scheduler] = {
 }
 """When robots move, by name."""
 
-STRATEGIES: dict[str, tuple[Any, Any]] = {"sensings": (Sensing, SENSINGS), "schedulers": (Scheduler, SCHEDULERS)}
+S = TypeVar("S", bound=Strategy)
+
 RANDOM = "random"
+"""Where the comparison's own experiment begins."""
 
 SETS = ("cluster", "corner", "wall", "walls", "tight-grid")
 """Families of starts that are those of a named set; see `start_sets`. The others are drawn by the comparison's seed."""
-
-STARTS = (RANDOM, *get_args(Family), *SETS, "hard")
-"""Where robots begin, by name."""
 
 MAX_WORST = 3
 """Failures of each condition that are kept, to be drawn."""
@@ -133,10 +134,10 @@ class Condition:
 
     Attributes:
         method: Name of a run, or of a baseline, or a baseline of one's own as "module:Class".
-        sensing: A name of `SENSINGS`.
-        scheduler: A name of `SCHEDULERS`.
+        sensing: A name of `SENSINGS`, or "module:Class".
+        scheduler: A name of `SCHEDULERS`, or "module:Class".
         robots: Swarm size.
-        start: A name of `STARTS`: random, hard, a family of exactly symmetric starts or one of sets.
+        start: `RANDOM`, another name of `given_starts.start_names`, or "module:Class".
     """
 
     method: str
@@ -154,7 +155,7 @@ class Comparison:
     """What is compared, and from which starts.
 
     Attributes:
-        base: The world, scaled to each swarm size, the objective and the rest rule.
+        base: The world, scaled to each swarm size, the start, the objective, the rest rule and the shield.
         episodes: Starts of each condition; the same for every method.
         seed: Seed of the starts, but for those of sets, and of frames, noise and scheduler; no training ever began at
             these starts.
@@ -170,13 +171,66 @@ class Comparison:
 
     def problem(self, condition: Condition) -> ExperimentConfig:
         """Returns the experiment of one condition: its world, sensing and scheduler."""
-        sensing = SENSINGS[condition.sensing]
+        sensing, scheduler = self.sensing(condition.sensing), self.scheduler(condition.scheduler)
         if is_baseline(condition.method) and find_baseline(condition.method).centralised:
             # A centralised method has one frame, and all positions in it.
             sensing = GlobalSensing()
-        scheduler = SCHEDULERS[condition.scheduler]
         problem = replace(self.base, policy=LocalPolicy(), sensing=sensing, scheduler=scheduler, sizes=())
         return problem.of_size(condition.robots)
+
+    def sensing(self, name: str) -> Sensing:
+        """Returns what robots perceive, by its name in a condition."""
+        return SENSINGS[name] if name in SENSINGS else _own(Sensing, name, SENSINGS, self.base.sensing)
+
+    def scheduler(self, name: str) -> Scheduler:
+        """Returns when robots move, by its name in a condition."""
+        return SCHEDULERS[name] if name in SCHEDULERS else _own(Scheduler, name, SCHEDULERS, self.base.scheduler)
+
+    def start(self, name: str) -> Start:
+        """Returns where robots begin, by its name in a condition."""
+        if name == RANDOM:
+            return self.base.start
+        return find_start(name, "start") if name in start_names() else _own(Start, name, (), self.base.start)
+
+
+def _own(kind: type[S], name: str, names: Sequence[str] | Mapping[str, S], base: S) -> S:
+    """Returns a strategy named "module:Class": the experiment's, or else one with the defaults of its fields."""
+    return base if base.name == name else config_io.named(kind, name, tuple(names), kind.section)
+
+
+def shared_experiment(runs: Mapping[str, ExperimentConfig]) -> ExperimentConfig:
+    """Returns the experiment whose world, objective, rest rule and shield all of several have: the first.
+
+    Their worlds are compared at the first one's swarm size; their starts, sensing and schedulers are conditions.
+
+    Args:
+        runs: The experiments of learned methods, by the names of these.
+
+    Raises:
+        InputError: They differ, so that no condition is the same for all; the message names the field.
+    """
+    (first, base), *others = runs.items()
+    expected = _task(base, base)
+    for name, experiment in others:
+        given = _task(experiment, base)
+        for path in dict.fromkeys((*expected, *given)):
+            old, new = expected.get(path), given.get(path)
+            if old == new or (isinstance(old, float) and isinstance(new, float) and math.isclose(old, new)):
+                continue
+            allowed = f"{shown(old)} in {name} as in {first}: methods are compared at one task"
+            raise InputError(path, new, allowed)
+    return base
+
+
+_TASK = ("objective", "signals", "valid", "world", "rest", "shield")
+"""The sections of an experiment that all methods of a comparison share."""
+
+
+def _task(experiment: ExperimentConfig, base: ExperimentConfig) -> dict[str, Any]:
+    """Returns the leaves of what methods share, by path, in a world of the base's swarm size."""
+    scaled = replace(experiment, world=scaled_to(experiment.world, base.world.robots), sizes=())
+    leaves = {leaf.path: leaf.value for leaf in config_io.leaves(scaled) if leaf.path.partition(".")[0] in _TASK}
+    return {path: value for path, value in leaves.items() if path != "world.collision_penalty"}
 
 
 def is_baseline(method: str) -> bool:
@@ -218,27 +272,25 @@ def conditions(
 
     Args:
         methods: Names of methods; baselines of one's own as "module:Class".
-        sensings: Names of `SENSINGS`.
-        schedulers: Names of `SCHEDULERS`.
+        sensings: Names of `SENSINGS`, or "module:Class".
+        schedulers: Names of `SCHEDULERS`, or "module:Class".
         sizes: Swarm sizes.
-        starts: Names of `STARTS`; swarms too small for a family are left out of it.
+        starts: Names of `given_starts.start_names`, or "module:Class"; swarms too small for a family are left out of
+            it.
         known: The methods that there are.
 
     Raises:
         InputError: A name is unknown; the message lists the known ones.
     """
-    for method in methods:
-        if ":" in method:
-            find_baseline(method)
-    choices = (
-        ("method", [method for method in methods if ":" not in method], known),
-        ("sensing", sensings, SENSINGS),
-        ("scheduler", schedulers, SCHEDULERS),
-        ("start", starts, STARTS),
+    choices: tuple[tuple[Any, Sequence[str], Any], ...] = (
+        (Baseline, methods, known),
+        (Sensing, sensings, SENSINGS),
+        (Scheduler, schedulers, SCHEDULERS),
+        (Start, starts, start_names()),
     )
-    for field, names, allowed in choices:
-        for name in names:
-            check_choice(field, name, tuple(allowed))
+    for kind, words, names in choices:
+        for word in words:
+            config_io.find_named(kind, word, tuple(names), kind.section)
     for robots in sizes:
         check_number("robots", robots, 2, 1000, integer=True)
     return [
@@ -280,10 +332,11 @@ def compare(
     check_type("comparison", comparison, Comparison, "a comparison")
     check_path("folder", folder)
     folder = Path(folder)
-    path, settings = folder / COMPARISON, _settings(comparison, runs)
+    path, settings = folder / COMPARISON, _settings(comparison, wanted, runs)
     rows = _read_rows(path, settings) if path.exists() else {}
     before = load(folder) if path.exists() else {}
-    settings["weights"] = {**before.get("weights", {}), **settings["weights"]}
+    for name in _BY_NAME:
+        settings[name] = {**before.get(name, {}), **settings[name]}
     settings["commands"] = list(
         dict.fromkeys([*before.get("commands", []), *([printable(command)] if command else [])])
     )
@@ -291,10 +344,12 @@ def compare(
     for condition in wanted:
         run = runs[condition.method][condition.sensing] if condition.method in runs else None
         if run is not None:
-            run.warn_of_size(condition.robots)
+            run.check_size(condition.robots)
         if condition not in rows or rows[condition]["episodes"] < comparison.episodes:
             job = ConditionJob(folder / JOBS / _file_name(str(condition)), comparison, condition, run)
             jobs[job.name] = job
+    _check_jobs(list(jobs.values()))
+    is_new = not folder.exists()
     files.make_folder(folder)
     with locked(files.inside(folder, JOBS)):
         for old in (folder / JOBS).iterdir():
@@ -312,7 +367,11 @@ def compare(
             statuses = run_jobs(list(jobs.values()), executor or InProcess(), on_end=keep, quiet=quiet)
         finally:
             shutil.rmtree(folder / JOBS, ignore_errors=True)
-        files.write_json(path, {**settings, "rows": list(rows.values())})
+            if is_new and not path.exists():
+                with contextlib.suppress(OSError):
+                    folder.rmdir()
+        if rows:
+            files.write_json(path, {**settings, "rows": list(rows.values())})
     failed = [f"{name}: {status.error}" for name, status in statuses.items() if status.state == "failed"]
     if failed:
         raise RunError(failed[0] + (f" (and {len(failed) - 1} more conditions)" if len(failed) > 1 else ""))
@@ -365,8 +424,7 @@ class ConditionJob(Job):
     def _policies(self) -> tuple[Any, ...]:
         if self.learned is not None:
             return self.learned.cascade.policies
-        world = self.comparison.problem(self.condition).world
-        return (find_baseline(self.condition.method)(world, self.comparison.base.landmark),)
+        return (_build_baseline(self.condition.method, self.comparison.problem(self.condition)),)
 
     def fields(self) -> dict[str, Any]:
         """See `Job`."""
@@ -443,8 +501,9 @@ def _wrong_field(row: Any) -> str | None:
         value, low = row.get(name), 0 if name in counts else {"robots": 2}.get(name, 1)
         if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
             return name
-    for name, allowed in {"sensing": SENSINGS, "scheduler": SCHEDULERS, "start": STARTS}.items():
-        if not isinstance(row.get(name), str) or row[name] not in allowed:
+    for name, allowed in {"sensing": SENSINGS, "scheduler": SCHEDULERS, "start": start_names()}.items():
+        value = row.get(name)
+        if not isinstance(value, str) or len(value) > 255 or not (value in allowed or config_io.is_class_name(value)):
             return name
     if not isinstance(row.get("method"), str) or not 0 < len(row["method"]) <= 255:
         return "method"
@@ -483,27 +542,43 @@ def sorted_rows(folder: str | Path) -> list[dict[str, Any]]:
     Raises:
         RunError: They are missing or damaged.
     """
-    names = {name: index for index, name in enumerate((*STARTS, *SENSINGS, *SCHEDULERS))}
+    orders = {"start": start_names(), "sensing": tuple(SENSINGS), "scheduler": tuple(SCHEDULERS)}
     baselines = {name: index for index, name in enumerate(Baseline.registered(), start=1)}
 
     def key(row: dict[str, Any]) -> tuple[Any, ...]:
         method = baselines.get(row["method"], len(baselines) + 1 if is_baseline(row["method"]) else 0)
-        levels = [names[row[name]] for name in ("start", "sensing", "scheduler")]
-        return (*levels, row["robots"], method, row["method"])
+        levels = ((*names, row[name]).index(row[name]) for name, names in orders.items())
+        classes = (row[name] for name in orders)
+        return (*levels, *classes, row["robots"], method, row["method"])
 
     return sorted(load(folder)["rows"], key=key)
 
 
-def _settings(comparison: Comparison, runs: Mapping[str, Mapping[str, Run]]) -> dict[str, Any]:
-    """Returns what all rows of a folder have in common, as comparison.json has it."""
-    world = {name: value for name, value in asdict(comparison.base.world).items() if name != "collision_penalty"}
+_BY_NAME: dict[str, Any] = {"sensings": Sensing, "schedulers": Scheduler, "starts": Start, "weights": None}
+"""The settings that are tables by name, with the kinds of their strategies. Rows are told apart by these names, so
+entries that only one of two comparisons has do no harm."""
+
+
+def _settings(
+    comparison: Comparison, wanted: Sequence[Condition], runs: Mapping[str, Mapping[str, Run]]
+) -> dict[str, Any]:
+    """Returns what the rows of a folder depend on besides their conditions, as comparison.json has it."""
+    base = comparison.base
+    world = {name: value for name, value in asdict(base.world).items() if name != "collision_penalty"}
+    sensings = dict.fromkeys((*SENSINGS, *(condition.sensing for condition in wanted)))
+    schedulers = dict.fromkeys((*SCHEDULERS, *(condition.scheduler for condition in wanted)))
+    starts = dict.fromkeys(condition.start for condition in wanted)
     return {
-        "objective": comparison.base.objective,
+        "objective": base.objective,
+        "signals": {name: config_io.to_dict(signal) for name, signal in base.signals.items()},
+        "valid": dict(base.valid),
         "world": world,
-        "rest": asdict(comparison.base.rest),
+        "rest": asdict(base.rest),
+        "shield": config_io.to_dict(base.shield),
         "seed": comparison.seed,
-        "sensings": {name: config_io.to_dict(sensing) for name, sensing in SENSINGS.items()},
-        "schedulers": {name: config_io.to_dict(scheduler) for name, scheduler in SCHEDULERS.items()},
+        "sensings": {name: config_io.to_dict(comparison.sensing(name)) for name in sensings},
+        "schedulers": {name: config_io.to_dict(comparison.scheduler(name)) for name in schedulers},
+        "starts": {name: config_io.to_dict(comparison.start(name)) for name in starts},
         "weights": {
             f"{name}, {sensing}": _fingerprint(run)
             for name, by_sensing in runs.items()
@@ -530,19 +605,106 @@ def _read_rows(path: Path, settings: Mapping[str, Any]) -> dict[Condition, dict[
     for name, value in settings.items():
         old = recorded.get(name)
         same = old == value
-        if name == "weights" and isinstance(old, dict):
-            # Methods that only one of the two has do no harm: their rows are told apart.
-            same = all(old.get(key, new) == new for key, new in value.items())
-        elif name in STRATEGIES and isinstance(old, dict) and not same:
-            # Version 0.1.0 wrote other names of fields.
-            kind, strategies = STRATEGIES[name]
-            with contextlib.suppress(InputError):
-                same = {key: config_io.from_dict(kind, fields) for key, fields in old.items()} == strategies
+        if name in _BY_NAME and isinstance(old, dict):
+            kind = _BY_NAME[name]
+            same = all(key not in old or _is_same(kind, old[key], new) for key, new in value.items())
         if not same:
             what = f"{name} is {shown(old)} there, {shown(value)} here"
             raise RunError(f"{path} holds another comparison: {what}; choose another folder")
     names = Condition.__dataclass_fields__
     return {Condition(*(row[name] for name in names)): row for row in recorded["rows"]}
+
+
+def _is_same(kind: Any, old: Any, new: Any) -> bool:
+    """Returns whether an entry of a table of settings is the recorded one, whatever version wrote that."""
+    if old == new or kind is None:
+        return old == new
+    # Nothing that only the folder names is imported: it is not trusted.
+    importer = Importer(trusted=False)
+    with contextlib.suppress(InputError):
+        old, new = (config_io.from_dict(kind, fields, importer=importer) for fields in (old, new))
+        return config_io.to_dict(old) == config_io.to_dict(new)
+    return False
+
+
+@prng.reproducible()
+def _check_jobs(jobs: Sequence[ConditionJob]) -> None:
+    """Checks the starts, and evaluates what is not of this package once, so that nothing is begun with a faulty part.
+
+    Raises:
+        InputError: A start is impossible, or a class returns another shape or type, or numbers that are not finite.
+    """
+    checked = set()
+    for job in jobs:
+        comparison, condition = job.comparison, job.condition
+        names = (condition.start, condition.sensing, condition.scheduler)
+        if (*names, condition.robots) not in checked:
+            checked.add((*names, condition.robots))
+            problem, start = comparison.problem(condition), comparison.start(condition.start)
+            if start.is_foreign():
+                check_start(start, problem.world)
+            else:
+                start.prepare(problem.world)
+            if any(map(config_io.is_class_name, names[1:])):
+                check_parts(problem)
+        if job.learned is None and (condition.method, condition.robots) not in checked:
+            checked.add((condition.method, condition.robots))
+            _check_baseline(condition.method, comparison.problem(condition))
+
+
+def _build_baseline(method: str, problem: ExperimentConfig) -> Baseline:
+    """Builds a baseline for a problem.
+
+    Raises:
+        InputError: A further field of it has no default, or it cannot be built.
+    """
+    baseline = find_baseline(method)
+    for field in baseline.__dataclass_fields__.values():
+        if field.name not in ("world", "landmark") and field.default is field.default_factory is MISSING:
+            raise InputError("method", method, f"a class whose field {field.name} has a default")
+    try:
+        return baseline(problem.world, problem.landmark)
+    except InputError:
+        raise
+    except Exception as error:  # a user's class may raise anything
+        raise _broken(method, error) from None
+
+
+def _check_baseline(method: str, problem: ExperimentConfig) -> None:
+    """Evaluates a baseline that is not of this package from two starts.
+
+    Raises:
+        InputError: It cannot be evaluated, or returns another shape or type, or velocities that are not finite.
+    """
+    baseline = _build_baseline(method, problem)
+    if not baseline.is_foreign():
+        return
+    cascade, world = build_cascade(problem, (baseline,)), problem.world
+    starts = draw_starts(cascade.world.start, prng.key(0), 2, world)
+    positions = jnp.moveaxis(jnp.asarray(starts), 0, -1)
+    try:
+        # As in a rollout, it is compiled: a class may work on numbers and not under a jit.
+        velocities = eqx.filter_jit(lambda: baseline(cascade.env.observe(cascade.env.state(positions))))()
+    except InputError:
+        raise
+    except Exception as error:  # a user's class may raise anything
+        raise _broken(method, error) from None
+    shape, dtype = getattr(velocities, "shape", None), getattr(velocities, "dtype", type(velocities).__name__)
+    if shape != positions.shape or dtype != positions.dtype:
+        have = f"{dtype}{list(shape)}" if shape is not None else dtype
+        wanted = f"{positions.dtype}{list(positions.shape)} for 2 configurations, not {have}"
+        raise InputError("method", method, f"a class whose __call__ returns {wanted}")
+    _check_finite(method, velocities)
+
+
+def _broken(method: str, error: Exception) -> InputError:
+    reason = one_line(f"{type(error).__name__}: {error}", 300)
+    return InputError("method", method, f"a class that can be evaluated ({reason})")
+
+
+def _check_finite(method: str, numbers: Any) -> None:
+    if not np.isfinite(np.asarray(numbers)).all():
+        raise InputError("method", method, "one whose velocities are finite numbers")
 
 
 @prng.reproducible()
@@ -552,12 +714,13 @@ def _evaluate(
     """Runs a method under one condition, and returns its row of the table."""
     problem, parts, done = comparison.problem(condition), [], 0
     for batch in _rollouts(comparison, problem, policies, condition.start, report):
+        _check_finite(condition.method, batch.final)
         parts.append(_measure(problem, batch))
         done += len(batch.lengths)
         report("episodes", done, comparison.episodes)
     joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     valid, count = joined["valid"], len(joined["valid"])
-    known = best_known(Target(problem.world, problem.objective))
+    known = best_known(Target(problem.world, problem.objective)) if problem.has_paper_objective else None
     # Contacts before hidden robots; of each, those with the fewest visible pairs.
     failures = np.flatnonzero(~valid)
     badness = joined["visible"][failures] + 2.0 * joined["free"][failures]
@@ -572,7 +735,7 @@ def _evaluate(
         "episodes": count,
         "valid": int(valid.sum()),
         "interval": list(wilson(int(valid.sum()), count)),
-        "collisions": int((~joined["free"] & ~joined["left"]).sum()),
+        "collisions": int(joined["collided"].sum()),
         "left": int(joined["left"].sum()),
         "hidden": int((joined["free"] & ~joined["seen"]).sum()),
         "unsafe": int((joined["free"] & ~joined["safe"]).sum()),
@@ -600,7 +763,7 @@ def _rollouts(
     key = jax.random.fold_in(jax.random.fold_in(prng.key(comparison.seed), _HELD_OUT), problem.world.robots)
     usual_steps = problem.usual_steps(len(policies), size)
     batches = range(0, comparison.episodes, size)
-    draw = _draws(problem, cascade.world.start, start, key, len(batches) * size)
+    draw = _draws(problem.world, comparison.start(start), start, key, len(batches) * size)
     for first in batches:
         starts = draw(first, size)
         # Each batch of each seed has frames, noise and a scheduler of its own.
@@ -611,20 +774,14 @@ def _rollouts(
 
 
 def _draws(
-    problem: ExperimentConfig, fresh: Start, start: str, key: PRNGKeyArray, count: int
+    world: WorldConfig, start: Start, name: str, key: PRNGKeyArray, count: int
 ) -> Callable[[int, int], Float[np.ndarray, "episodes robots 2"]]:
     """Returns what gives the starts from a number on, of so many in all."""
-    world = problem.world
-    if start in SETS:
-        points = draw_set(start, world, count)
+    if name in SETS:
+        points = draw_set(name, world, count)
         return lambda first, size: points[first : first + size]
-    if start == RANDOM:
-        drawn = fresh
-    elif start == "hard":
-        drawn = HardStart().prepare(world)
-    else:
-        drawn = SymmetricStart(cast(Any, start)).prepare(world)
-    return lambda first, size: draw_starts(drawn, jax.random.fold_in(key, first), size, world)
+    prepared = start.prepare(world)
+    return lambda first, size: draw_starts(prepared, jax.random.fold_in(key, first), size, world)
 
 
 def _first_episodes(batch: Trajectories, count: int) -> Trajectories:
@@ -642,7 +799,8 @@ def _measure(problem: ExperimentConfig, batch: Trajectories) -> dict[str, np.nda
     return {
         "valid": validity.valid,
         "free": validity.contact_free & validity.inside,
-        "left": _left(batch.final, world),
+        "collided": ~validity.contact_free,
+        "left": ~validity.inside,
         "seen": validity.mutually_visible,
         "safe": validity.safe,
         "rest": validity.at_rest,
@@ -654,10 +812,6 @@ def _measure(problem: ExperimentConfig, batch: Trajectories) -> dict[str, np.nda
         "objective": np.sum([values[:, -1] for values in batch.signals.values()], axis=0),
         "final": batch.final,
     }
-
-
-def _left(final: Float[np.ndarray, "episodes robots 2"], world: WorldConfig) -> np.ndarray:
-    return np.asarray((np.abs(final) > world.limits).any(axis=(1, 2)))
 
 
 def _visible_fraction(final: Float[np.ndarray, "episodes robots 2"], world: WorldConfig) -> np.ndarray:

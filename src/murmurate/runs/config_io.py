@@ -16,7 +16,7 @@ import inspect
 import re
 import tomllib
 import types
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
@@ -36,11 +36,14 @@ __all__ = [
     "described",
     "dump_toml",
     "file_fields",
+    "find_named",
     "from_dict",
+    "is_class_name",
     "leaves",
     "load_toml",
     "located",
     "merged",
+    "named",
     "nested",
     "optional",
     "parse",
@@ -53,6 +56,7 @@ __all__ = [
 ]
 
 T = TypeVar("T")
+S = TypeVar("S", bound=Strategy)
 NONE = "none"
 
 MAX_TOML_BYTES, MAX_KEY_PARTS = 1 << 20, 40
@@ -153,6 +157,52 @@ def replaced(config: T, data: Mapping[str, Any], where: str = "", importer: Impo
         InputError: A field is unknown, of the wrong type, or refused by its class.
     """
     return _build(type(config), config, data, where, importer or Importer())
+
+
+def is_class_name(word: object) -> bool:
+    """Returns whether a word has the form "module:Class", and is no path of a CSV file with a drive."""
+    is_class = isinstance(word, str) and re.fullmatch(r"[^\W\d][\w.]*:[^\W\d][\w.]*", word)
+    return bool(is_class) and not str(word).lower().endswith(".csv")
+
+
+def find_named(kind: type[S], word: object, names: Collection[str], field: str, also: str = "") -> type[S] | None:
+    """Returns the class that a user's word chooses, as "module:Class"; None for one of the names.
+
+    The user names the module, so it is imported, from the working folder or the Python path.
+
+    Args:
+        kind: The kind of strategy.
+        word: The word.
+        names: What else it may be.
+        field: What the word is for, for messages.
+        also: What it may be besides, for messages.
+
+    Raises:
+        InputError: It is neither, or there is no such class of that kind.
+    """
+    if isinstance(word, str) and word in names:
+        return None
+    if not is_class_name(word):
+        others = f'"module:Class", or {also}' if also else 'or "module:Class"'
+        hint = suggestion(word, names) if isinstance(word, str) else ""
+        raise InputError(field, word, f"one of {', '.join(names)}, {others}{hint}")
+    return Importer((Path.cwd(),)).find(kind, word, field)
+
+
+def named(kind: type[S], word: str, names: Collection[str], field: str) -> S:
+    """Returns the strategy that a user's word chooses, with the defaults of its fields; see `find_named`.
+
+    Args:
+        kind: The kind of strategy.
+        word: A registered name among the names, or "module:Class".
+        names: The names that are allowed.
+        field: What the word is for, for messages.
+
+    Raises:
+        InputError: There is no such strategy, or a field of it has no default.
+    """
+    find_named(kind, word, names, field)
+    return from_dict(kind, {USE: word}, field, Importer((Path.cwd(),)))
 
 
 def merged(first: Mapping[str, Any], *later: Mapping[str, Any]) -> dict[str, Any]:

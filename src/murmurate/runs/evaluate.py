@@ -159,8 +159,8 @@ def evaluate(
         episodes: Number of starts; by default 200 that are drawn, and all that are given.
         seed: Seed of the starts, of the robots' frames, of noise and of the scheduler.
         starts: Where to begin instead of at fresh starts of the experiment: a named set ("cluster"; see
-            `murmurate.start_set`), another registered start ("hard"), a CSV file of starts, a start, or configurations,
-            world units.
+            `murmurate.start_set`), another registered start ("hard"), one's own as "module:Class", a CSV file of
+            starts, a start, or configurations, world units.
         on_progress: Called as `on_progress(work, done, total, **values)` before and after each part of the work, and
             every few seconds while episodes are executed.
 

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import jax
 import numpy as np
 from jaxtyping import Float, PRNGKeyArray
 
 from murmurate import prng
-from murmurate.errors import InputError, check_number, suggestion
-from murmurate.registry import Strategy
+from murmurate.errors import InputError, check_number
+from murmurate.runs import config_io
 from murmurate.world import (
+    Family,
     Start,
     WorldConfig,
     check_configurations,
@@ -25,7 +26,7 @@ from murmurate.world import (
     start_sets,
 )
 
-__all__ = ["HELD_OUT", "GivenStarts", "given_starts", "start_names", "starts_key"]
+__all__ = ["HELD_OUT", "GivenStarts", "find_start", "given_starts", "start_names", "starts_key"]
 
 # Training folds a policy's place in the list into its seed; no list is so long that it ever draws the same numbers.
 HELD_OUT = 2**31
@@ -47,10 +48,24 @@ class GivenStarts:
     source: dict[str, str]
 
 
-def start_names() -> dict[str, type[Strategy] | None]:
-    """Returns the names that stand for starts: families of sets, with None, and registered starts."""
-    registered = {name: start for name, start in Start.registered().items() if name not in NEEDY}
-    return {**registered, **dict.fromkeys(start_sets.FAMILIES)}
+def start_names() -> tuple[str, ...]:
+    """Returns the names that stand for starts: families of sets, and registered starts."""
+    families = ("random", *get_args(Family), *start_sets.FAMILIES)
+    return tuple(dict.fromkeys((*families, *(name for name in Start.registered() if name not in NEEDY))))
+
+
+def find_start(word: str, field: str = "starts") -> Start:
+    """Returns the start that a user's word stands for, with the defaults of its fields.
+
+    Args:
+        word: A name of `start_names`, or "module:Class", importable from the working folder or the Python path.
+        field: What the word is for, for messages.
+
+    Raises:
+        InputError: There is no such start, or a field of it has no default.
+    """
+    family = start_sets.FAMILIES.get(word)
+    return config_io.named(Start, word, start_names(), field) if family is None else family
 
 
 @prng.reproducible()
@@ -63,7 +78,7 @@ def given_starts(
     that of the sets, they are drawn in the same way there.
 
     Args:
-        starts: A name of `start_names`, a CSV file of starts, a start, or configurations.
+        starts: A name of `start_names`, "module:Class", a CSV file of starts, a start, or configurations.
         world: Sizes of the world and its robots.
         key: A seed or a key of `jax.random`, for starts that are drawn.
         default: How many starts to draw if `episodes` is None.
@@ -74,11 +89,10 @@ def given_starts(
     """
     if isinstance(starts, Start):
         return _drawn(starts, world, starts_key(key), episodes or default)
-    if isinstance(starts, str) and starts in start_names():
-        start = start_names()[starts]
-        if start is None:
-            return _of_family(starts, world, episodes or default)
-        return _drawn(start(), world, starts_key(key), episodes or default)  # type: ignore[arg-type]
+    if isinstance(starts, str) and starts in start_sets.FAMILIES:
+        return _of_family(starts, world, episodes or default)
+    if isinstance(starts, str) and (starts in start_names() or config_io.is_class_name(starts)):
+        return _drawn(find_start(starts), world, starts_key(key), episodes or default)
     if isinstance(starts, str | Path):
         points, source = _of_file(starts, world), {"kind": "file", "name": Path(starts).name}
     else:
@@ -115,9 +129,7 @@ def _of_family(family: str, world: WorldConfig, count: int) -> GivenStarts:
 def _of_file(path: str | Path, world: WorldConfig) -> Float[np.ndarray, "starts robots 2"]:
     # A word without a folder and an ending is a name that is misspelled, rather than a file that is missing.
     if isinstance(path, str) and Path(path).name == path and not Path(path).suffix and not Path(path).exists():
-        names = start_names()
-        allowed = f"one of {', '.join(names)}, or a CSV file{suggestion(path, names)}"
-        raise InputError("starts", path, allowed)
+        config_io.find_named(Start, path, start_names(), "starts", "a CSV file")
     named = read_named_starts(path, world.robots)
     points = np.array(list(named.values()))
     check_configurations(points, world, str(path), list(named))

@@ -85,17 +85,20 @@ class Run:
         current = self.experiment.world.robots
         if robots == current:
             return self
-        if not self.experiment.policy.any_size:
-            raise InputError("robots", robots, f"{current}: the policy {self.experiment.policy.name} is of one size")
+        self.check_size(robots)
         if not self.experiment.start.fits_any_size():
             raise InputError("robots", robots, f"{current}, as in the run's file of starts")
-        scaled = self.under(self.experiment.of_size(robots))
-        self.warn_of_size(robots)
-        return scaled
+        return self.under(self.experiment.of_size(robots))
 
-    def warn_of_size(self, robots: int) -> None:
-        """Warns of a swarm size beyond those that the policies were trained among."""
-        sizes = self.experiment.sizes
+    def check_size(self, robots: int) -> None:
+        """Warns of a swarm size beyond those that the policies were trained among.
+
+        Raises:
+            InputError: The policies are for one size only, which is another one.
+        """
+        current, sizes = self.experiment.world.robots, self.experiment.sizes
+        if robots != current and not self.experiment.policy.any_size:
+            raise InputError("robots", robots, f"{current}: the policy {self.experiment.policy.name} is of one size")
         if sizes and not min(sizes) <= robots <= max(sizes):
             text = f"robots = {robots}: trained were swarms of {min(sizes)} to {max(sizes)}; others may do worse"
             warnings.warn(text, BeyondTrainingWarning, stacklevel=3)
@@ -151,7 +154,7 @@ class Run:
         Args:
             starts: A number of fresh starts to draw; or configurations `(episodes, robots, 2)`, or one `(robots, 2)`,
                 world units; or a CSV file of starts; or, for 100 starts, a named set ("cluster"; see
-                `murmurate.start_set`), another registered start ("hard") or a start.
+                `murmurate.start_set`), another registered start ("hard"), one's own as "module:Class", or a start.
             key: A seed or a key of `jax.random`: for fresh starts, the robots' frames, noise and the scheduler.
             on_chunk: Called as `on_chunk(steps, max_steps, ended)` after every chunk of steps; see `Cascade.rollout`.
 
