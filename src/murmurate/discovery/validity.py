@@ -155,7 +155,7 @@ def _contact_free_and_inside(
     positions: Float[np.ndarray, "episodes time robots 2"], world: WorldConfig
 ) -> tuple[Flags, Flags]:
     """Follows every step along its straight lines; both hold only where no position is NaN."""
-    contact_free = ~np.isnan(positions).any(axis=(1, 2, 3))
+    contact_free = ~np.asarray(np.isnan(positions).any(axis=(1, 2, 3)))
     inside = contact_free.copy()
     # Step by step, because all positions in float64 would take twice the memory of the record.
     now = np.moveaxis(positions[:, 0].astype(float), 0, -1)

@@ -214,8 +214,12 @@ def evaluated(run: RunFolder, trust: bool = False) -> dict[str, Any]:
 
 def _judged(experiment: ExperimentConfig, seed: int, starts: dict[str, str], trajectories: Trajectories) -> Evaluation:
     """Checks every episode by its positions, and computes its kinematic bound: NaN where they are not finite."""
-    ends = np.stack([trajectories.positions[:, 0], trajectories.final], axis=1)
-    bound = [bound_steps(*pair, experiment.world.max_speed) if np.isfinite(pair).all() else math.nan for pair in ends]
+    # In float64, in which squares of whatever a float32 holds are finite.
+    pairs = zip(trajectories.positions[:, 0].astype(float), trajectories.final.astype(float), strict=True)
+    bound = [
+        bound_steps(first, final, experiment.world.max_speed) if np.isfinite([first, final]).all() else math.nan
+        for first, final in pairs
+    ]
     validity = check_validity(trajectories, experiment.world, experiment.thresholds)
     return Evaluation(experiment, seed, starts, trajectories, validity, np.array(bound))
 
