@@ -69,6 +69,7 @@ def made_up_summary(episodes):
     return {
         **dict.fromkeys(shares, 1.0),
         **dict.fromkeys(steps, 9.0),
+        "auxiliary_steps": 0.0,
         "episodes": episodes,
         "starts": {"kind": "fresh"},
         "valid_interval": [0.5, 1.0],

@@ -9,9 +9,9 @@ import pytest
 
 from murmurate.analysis import Catalogue, Finding
 from murmurate.cli.main import main
-from murmurate.runs import catalogues
+from murmurate.runs import catalogues, files
 from murmurate.runs.folder import RunFolder
-from tiny import seal, write_toml
+from tiny import write_toml
 
 
 @pytest.fixture(scope="module")
@@ -132,10 +132,9 @@ def test_folders_that_are_no_runs(tmp_path, discovered, capsys):
 
 def test_no_valid_pattern_is_said(discovered, tmp_path, capsys):
     nothing = shutil.copytree(discovered, tmp_path / "nothing")
-    summary = json.loads((nothing / "evaluation.json").read_text())
-    summary["failures"] = list(range(200))
-    (nothing / "evaluation.json").write_text(json.dumps(summary))
-    seal(RunFolder(nothing))
+    arrays = files.read_npz(nothing / "trajectories.npz")
+    arrays["positions"][:, -1, 0] = 30.0  # outside the world
+    RunFolder(nothing).write_evaluation(RunFolder(nothing).evaluation(), arrays)
     refused(capsys, [nothing, "--out", tmp_path / "x"], "no valid pattern was found in")
 
 

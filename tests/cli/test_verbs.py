@@ -10,7 +10,6 @@ from murmurate.cli.main import main
 from murmurate.plots.run import describe_swarm
 from murmurate.plots.style import new_page
 from murmurate.runs import files, presets, train
-from murmurate.runs.evaluate import wilson
 from murmurate.runs.experiment import load
 from murmurate.runs.folder import RunFolder, describe_starts, is_fresh
 
@@ -240,16 +239,17 @@ def test_an_evaluation_says_what_failed_and_why(tiny_run, tmp_path, capsys):
 def test_fewer_valid_patterns_than_required_have_a_status_of_their_own(copy_of_tiny_run, tiny_toml, capsys):
     run = RunFolder(copy_of_tiny_run())
     command = ["discover", str(tiny_toml), "--out", str(run.path), "--resume"]
-    summary = files.read_json(run.path / "evaluation.json")
+    summary, arrays = run.evaluation(), files.read_npz(run.path / "trajectories.npz")
+    formed = arrays["positions"].copy()
     for count, status, line in (
         (3, 5, "Valid patterns from 1.5% of the starts; discovery.required_valid asks for 50.0%."),
         (84, 5, "Valid patterns from 42.0% of the starts; discovery.required_valid asks for 50.0%."),
         (98, 0, "animation: "),  # as good as one half, by chance
         (199, 0, "animation: "),
     ):
-        valid = {"valid": count / 200, "valid_interval": list(wilson(count, 200))}
-        files.write_json(run.path / "evaluation.json", summary | valid)
-        run.write_manifest(run.manifest(), policies=2)
+        arrays["positions"] = formed.copy()
+        arrays["positions"][count:, -1, 0] = 30.0  # outside the world
+        run.write_evaluation(summary, arrays)
         assert main(command) == status
         assert line in capsys.readouterr().out
     for command in (["--help"], ["discover", "--help"]):

@@ -42,7 +42,7 @@ def write_run(recording, folder):
 
 def arrays_of(trajectories):
     arrays = {name: getattr(trajectories, name) for name in ("positions", "lengths", "switch", "at_rest", "after_rest")}
-    arrays["signals"] = np.stack(list(trajectories.signals.values()), axis=-1)
+    arrays["signals"] = np.stack(list(trajectories.signals.values()), axis=-1).astype(np.float32)
     return arrays | {"signal_names": np.array(list(trajectories.signals))}
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -12,6 +13,7 @@ import jax
 import numpy as np
 import pytest
 
+from murmurate.cli.main import main
 from murmurate.discovery import policy_templates
 from murmurate.errors import RunError
 from murmurate.runs import catalogues, files
@@ -132,11 +134,11 @@ def test_folders_of_version_0_1_0_are_read(damaged):
     files.write_json(path / MANIFEST, manifest)
     for name in ("contact_free", "inside", "thresholds", "stationary"):
         del summary[name]
-    files.write_json(path / "evaluation.json", summary | {"collision_free": 0.5, "starts": "mine.csv"})
+    files.write_json(path / "evaluation.json", summary | {"collision_free": 1, "starts": "mine.csv"})
     arrays = files.read_npz(path / "trajectories.npz")
     files.write_npz(path / "trajectories.npz", {k: v for k, v in arrays.items() if k not in _LATER})
     assert damaged.verify()["valid_pattern"] is False
-    assert (damaged.evaluation()["contact_free"], damaged.evaluation()["inside"]) == (0.5, 0.5)
+    assert (damaged.evaluation()["contact_free"], damaged.evaluation()["inside"]) == (1, 1)
     assert describe_starts(damaged.evaluation()) == "starts of mine.csv"
     assert damaged.trajectories().lengths.tolist() == arrays["lengths"].tolist()
     # Whether patterns stay is not known: no summary says so, and no positions show it.
@@ -249,10 +251,65 @@ def test_validity_is_computed_not_believed(damaged):
 
 
 def test_trajectories_are_of_the_evaluation_beside_them(damaged):
-    change(damaged.path / "evaluation.json", episodes=199, failures=[])
+    change(damaged.path / "evaluation.json", episodes=199, failures=[], valid=1.0)
     seal(damaged)
     with pytest.raises(RunError, match="is not of the evaluation beside it"):
         damaged.trajectories()
+
+
+def test_nothing_is_claimed_of_positions_that_are_missing(damaged):
+    (damaged.path / "trajectories.npz").unlink()
+    seal(damaged)
+    with pytest.raises(RunError, match=r"cannot read .*trajectories\.npz"):
+        evaluated(damaged)
+    with pytest.raises(RunError, match=r"cannot read .*trajectories\.npz"):
+        catalogues.read_findings(damaged.path)
+
+
+def test_everything_that_positions_show_is_computed(damaged):
+    """Whatever the summary says: bounds, gaps, shares and signals."""
+    true = evaluated(damaged)
+    forged = {"bound_steps": 1e-9, "gap": -5.0, "best_known": 1e300, "efficiency": -3, "best_found": 1e300}
+    forged |= {"signal": {"\x1b": 1e300}, "thresholds": {"\x1b": 1.0}, "experiment": "\x1b", "gathered": 1.0}
+    change(damaged.path / "evaluation.json", **forged)
+    seal(damaged)
+    assert evaluated(damaged) == true
+
+
+def test_failures_are_computed_too(damaged):
+    """Of episodes that all fail nothing is believed either, even where some positions are not finite."""
+    arrays = files.read_npz(damaged.path / "trajectories.npz")
+    arrays["positions"][:, -1, 0] = 1e6
+    arrays["positions"][0] = arrays["after_rest"][0] = np.nan
+    failed = damaged.evaluation() | {"valid": 0.0, "valid_interval": [0.0, 0.1], "failures": [*range(200)]}
+    damaged.write_evaluation(failed, arrays)
+    assert damaged.evaluation()["inside"] == 1
+    summary = evaluated(damaged)
+    assert (summary["valid"], summary["inside"], summary["contact_free"]) == (0, 0, 0.995)
+    assert np.isnan(summary["bound_steps"])
+
+
+@pytest.mark.parametrize(
+    ("values", "line"),
+    [
+        ({"failures": [*range(200)]}, "valid = 1.0 with 200 failures of 200"),
+        ({"failures": [3], "valid": 0.99}, "valid = 0.99 with 1 failures of 200"),
+        ({"valid": None}, "valid = None with 0 failures of 200"),
+        ({"valid_interval": [0.1, 0.2]}, r"valid = 1.0 outside valid_interval = \[0.1, 0.2\]"),
+        ({"contact_free": 0.5}, "contact_free = 0.5 below valid = 1.0"),
+        ({"stationary": 0.0}, "stationary = 0.0 below valid = 1.0"),
+        ({"bound_steps": 1e18}, "bound_steps = 1e[+]18 above total_steps = "),
+        ({"base_steps": 2e9}, "total_steps = .* with base_steps = 2000000000.0"),
+    ],
+)
+def test_a_summary_that_contradicts_itself_is_refused(damaged, values, line):
+    assert damaged.evaluation()["failures"] == []
+    change(damaged.path / "evaluation.json", **values)
+    seal(damaged)
+    with pytest.raises(RunError, match=f"contradicts itself: {line}") as caught:
+        damaged.evaluation()
+    assert "make it again with murmurate evaluate" in str(caught.value)
+    assert main(["table", str(damaged.path)]) == 2
 
 
 def test_folders_without_a_finished_run(tmp_path):
@@ -333,6 +390,64 @@ def test_trajectories_fit_together(damaged, array, line):
     seal(damaged)
     with pytest.raises(RunError, match=line):
         damaged.trajectories()
+
+
+@pytest.mark.parametrize(
+    ("name", "forge", "line"),
+    [
+        ("switch", lambda a: np.full_like(a, 2**31 - 1), "switch that is not from 0 to the length"),
+        ("switch", lambda a: a * 0 - 5, "switch that is not from 0 to the length"),
+        ("switch", lambda a: np.repeat(a, 50, axis=1), r"switch as int32\[200, 50\]"),
+        ("lengths", lambda a: a * 0, "switch that is not from 0 to the length"),
+        ("lengths", lambda a: np.full(a.shape, 2**64 - 1, np.uint64), "lengths that are not from 0 to"),
+        ("epochs", lambda a: a.astype(int) * 0 - 2**62, "epochs that so few steps can have"),
+        ("epochs", lambda a: a + 99, "epochs that so few steps can have"),
+        ("interventions", lambda a: np.full_like(a, 2**31 - 1), "interventions that no steps can have"),
+        (
+            "positions",
+            lambda a: a + np.arange(a.shape[1], dtype=a.dtype)[:, None, None],
+            "positions that change after the end",
+        ),
+    ],
+)
+def test_trajectories_are_possible(damaged, name, forge, line):
+    path = damaged.path / "trajectories.npz"
+    arrays = files.read_npz(path)
+    if name == "positions":  # what follows the last step is after the end
+        arrays |= {name: arrays[name] - 1 for name in ("lengths", "switch", "epochs")}
+    files.write_npz(path, arrays | {name: forge(arrays[name])})
+    seal(damaged)
+    with pytest.raises(RunError, match=line):
+        damaged.trajectories()
+    assert main(["table", str(damaged.path)]) == 2
+
+
+@pytest.mark.parametrize(
+    ("name", "dtype", "shape"),
+    [
+        ("positions", "<f4", lambda shape: (shape[0], 42, *shape[2:])),
+        ("positions", "<f8", lambda shape: shape),
+        ("signals", "<f8", lambda shape: shape),
+        ("after_rest", "<f4", lambda shape: (shape[0], 201, *shape[2:])),
+        ("signal_names", "<U1000000", lambda shape: shape),
+        ("signal_names", "<U9", lambda shape: (1000,)),
+    ],
+)
+def test_no_array_is_larger_than_the_experiment_allows(damaged, monkeypatch, name, dtype, shape):
+    """Two policies of 20 steps at most, and 200 steps after rest: what is larger is refused before it takes memory."""
+    path = damaged.path / "trajectories.npz"
+    config, arrays = damaged.experiment(), files.read_npz(path)
+    large = np.zeros(shape(arrays[name].shape), dtype)
+    arrays[name] = large
+    if name == "positions" and large.shape[1] == 42:
+        arrays["signals"] = np.zeros((200, 42, 4), np.float32)
+    if name == "signal_names" and len(large) == 1000:
+        arrays["signals"] = np.zeros((200, arrays["positions"].shape[1], 1000), np.float32)
+    files.write_npz(path, arrays)
+    seal(damaged)
+    monkeypatch.setattr(np.lib.format, "read_array", None)
+    with pytest.raises(RunError, match=f"{name} as {re.escape(np.dtype(dtype).name)}|signal_names as"):
+        damaged.trajectories(config)
 
 
 def test_trajectories_are_finite(damaged):

@@ -26,12 +26,15 @@ def recorded(tmp_path):
 
     def make(positions, lengths):
         folder, (episodes, configurations) = RunFolder(tmp_path), np.shape(positions)[:2]
+        positions = np.array(positions, np.float32)
+        for episode, length in zip(positions, lengths, strict=True):
+            episode[length:] = episode[length]
         arrays = {
-            "positions": np.asarray(positions, np.float32),
+            "positions": positions,
             "lengths": np.asarray(lengths, np.int32),
             "switch": np.zeros((episodes, 0), np.int32),
-            "signals": np.zeros((episodes, configurations, 1), np.float32),
-            "signal_names": np.array(["nclose"]),
+            "signals": np.zeros((episodes, configurations, 4), np.float32),
+            "signal_names": np.array(tiny().signal_names),
             "at_rest": np.ones(episodes, bool),
         }
         folder.write_experiment(tiny())

@@ -189,11 +189,11 @@ def _events(wanted: bool) -> AbstractContextManager[Callable[[Path], None] | Non
 def _print_results(run: Run, folder: RunFolder) -> int:
     """Prints and draws a finished run; returns the exit status."""
     from murmurate.cli import summary
-    from murmurate.runs.evaluate import is_below
+    from murmurate.runs.evaluate import evaluated, is_below
 
     summary.print_results(run, folder)
     say(f"picture: {summary.draw(folder)}")
-    evaluation = folder.evaluation()
+    evaluation = evaluated(folder, trust=True)
     if not run.manifest["valid_pattern"]:
         say(f"No valid pattern was discovered. The run is kept in {folder.path}; try another --seed or more updates.")
         return NOTHING_VALID

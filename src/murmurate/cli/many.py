@@ -8,7 +8,7 @@ from pathlib import Path
 from murmurate.analysis import Catalogue
 from murmurate.cli.main import NOTHING_VALID, TOO_FEW_VALID
 from murmurate.runs import catalogues, files, table
-from murmurate.runs.evaluate import is_below
+from murmurate.runs.evaluate import evaluated, is_below
 from murmurate.runs.execute import InProcess, run_jobs
 from murmurate.runs.folder import RunFolder
 from murmurate.runs.grid import Grid
@@ -71,7 +71,7 @@ def discover_many(
         return NOTHING_VALID
     show(Catalogue.from_findings(findings), catalogue)
     required = {run: config.discovery.required_valid for run, config in grid.runs.items()}
-    if all(is_below(RunFolder(out / run).evaluation(), least) for run, least in required.items()):
+    if all(is_below(evaluated(RunFolder(out / run), trust=True), least) for run, least in required.items()):
         say("No run formed valid patterns from the share of starts that discovery.required_valid asks for.")
         return TOO_FEW_VALID
     return 0

@@ -7,6 +7,7 @@ from pathlib import Path
 from rich.console import Console
 
 from murmurate.runs import presets, table
+from murmurate.runs.evaluate import evaluated
 from murmurate.runs.failures import describe_failures
 from murmurate.runs.folder import RECORD, RunFolder
 from murmurate.runs.run import Run
@@ -22,8 +23,8 @@ def print_results(run: Run, folder: RunFolder) -> None:
         run: The run.
         folder: The folder of its evaluation.
     """
-    Console().print(table.as_rich(*table.comparison(folder.evaluation(), presets.paper_row(run.experiment))))
-    for line in describe_failures(run.experiment, folder.trajectories()):
+    Console().print(table.as_rich(*table.comparison(evaluated(folder, trust=True), presets.paper_row(run.experiment))))
+    for line in describe_failures(run.experiment, folder.trajectories(run.experiment)):
         say(line)
     if folder.record() is not None:
         say(f"A valid pattern beats the best known: {folder.path / RECORD} is the new record.")

@@ -92,7 +92,7 @@ def _executor(options: Namespace, out: Path) -> Executor:
 def _report(rows: list[dict[str, Any]], out: Path) -> int:
     """Prints the results of finished runs, and which failed; returns the exit status."""
     from murmurate.runs import table
-    from murmurate.runs.evaluate import is_below
+    from murmurate.runs.evaluate import evaluated, is_below
     from murmurate.runs.folder import RunFolder
     from murmurate.runs.sweep import CSV
     from murmurate.runs.worker import LOG
@@ -113,7 +113,7 @@ def _report(rows: list[dict[str, Any]], out: Path) -> int:
         say(f"No valid pattern was discovered. The runs are kept in {out}.")
         return NOTHING_VALID
     runs = [RunFolder(out / row["run"]) for row in done]
-    if all(is_below(run.evaluation(), run.experiment(trust=True).discovery.required_valid) for run in runs):
+    if all(is_below(evaluated(run, trust=True), run.experiment(trust=True).discovery.required_valid) for run in runs):
         say("No run formed valid patterns from the share of starts that discovery.required_valid asks for.")
         return TOO_FEW_VALID
     return 0

@@ -195,7 +195,8 @@ def contact_free_and_inside(
         positions: Centres, world units, at every step.
         world: Sizes of the world and its robots.
     """
-    contact_free, inside = np.ones(positions.shape[0], bool), np.ones(positions.shape[0], bool)
+    contact_free = ~np.asarray(np.isnan(positions).any(axis=(1, 2, 3)))
+    inside = contact_free.copy()
     # Step by step, because all positions in float64 would take twice the memory of the record.
     now = np.moveaxis(positions[:, 0].astype(float), 0, -1)
     for step in range(1, positions.shape[1]):

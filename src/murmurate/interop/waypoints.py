@@ -100,7 +100,8 @@ class Waypoints:
         """
         run = RunFolder(folder)
         run.verify()
-        experiment, trajectories = run.experiment(trust), run.trajectories()
+        experiment = run.experiment(trust)
+        trajectories = run.trajectories(experiment)
         positions, lengths = trajectories.positions.astype(float), trajectories.lengths
         if episodes is not None:
             check_number("--episodes", episodes, 1, len(positions), integer=True)

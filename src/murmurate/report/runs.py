@@ -69,7 +69,7 @@ def check(plan: Plan, runs: str | Path) -> dict[str, FolderState]:
         folder = RunFolder(Path(runs) / planned.name)
         if states[planned.name] == "finished":
             read(planned, folder.path)
-            folder.trajectories()
+            folder.trajectories(planned.config)
         elif states[planned.name] == "unfinished":
             folder.checkpoint(Search(planned.config))
     return states

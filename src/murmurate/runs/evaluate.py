@@ -56,7 +56,7 @@ class Evaluation:
     def summary(self) -> dict[str, Any]:
         """Returns what evaluation.json holds."""
         measured, bound = _measured(self.trajectories, self.validity), float(self.bound.mean())
-        signal = {name: float(self.trajectories.signals[name][:, -1].mean()) for name in self.objective.names}
+        signal = {name: float(values.mean()) for name, values in self.signals.items()}
         objective = float(self.objective(signal))
         known = None if self.target is None else best_known(self.target)
         return {
@@ -85,11 +85,15 @@ class Evaluation:
         return Target(experiment.world, experiment.objective) if experiment.has_paper_objective else None
 
     @functools.cached_property
+    def signals(self) -> dict[str, Float[np.ndarray, " episodes"]]:
+        """The signals at the end of each episode by name, in float64."""
+        final = Configuration(np.moveaxis(self.trajectories.final.astype(float), 0, -1), self.experiment.world)
+        return {name: np.asarray(value, float) for name, value in self.objective.measure(final).items()}
+
+    @functools.cached_property
     def values(self) -> Float[np.ndarray, " episodes"]:
         """The objective at the end of each episode, with the signals' own weights, in float64."""
-        final = Configuration(np.moveaxis(self.trajectories.final.astype(float), 0, -1), self.experiment.world)
-        measured = self.objective.measure(final)
-        return np.asarray(self.objective({name: np.asarray(value, float) for name, value in measured.items()}))
+        return np.asarray(self.objective(self.signals))
 
     @property
     def best(self) -> int | None:
@@ -182,42 +186,46 @@ def evaluate(
     on_chunk = progress.on_chunk(report, "episodes executed", count, usual_steps)
     trajectories = run.rollout(begin, seed, on_chunk)
     report("episodes executed", count, count)
-    experiment, first, final = run.experiment, trajectories.positions[:, 0], trajectories.final
-    bound = [bound_steps(*ends, experiment.world.max_speed) for ends in zip(first, final, strict=True)]
-    validity = check_validity(trajectories, experiment.world, experiment.thresholds)
-    report("episodes checked", count, count, valid=float(validity.valid.mean()))
-    return Evaluation(
-        experiment=experiment,
-        seed=seed,
-        starts=source,
-        trajectories=trajectories,
-        validity=validity,
-        bound=np.array(bound),
-    )
+    evaluation = _judged(run.experiment, seed, source, trajectories)
+    report("episodes checked", count, count, valid=float(evaluation.validity.valid.mean()))
+    return evaluation
 
 
 def evaluated(run: RunFolder, trust: bool = False) -> dict[str, Any]:
-    """Reads the summary of a run's evaluation; what its positions show is computed from them and not believed.
+    """Computes the summary of a run's evaluation from its positions; only where they began is believed.
 
     Args:
         run: The folder of a finished run.
         trust: Whether modules that its configuration names may be imported.
 
+    Returns:
+        What `RunFolder.evaluation` returns.
+
     Raises:
-        RunError: It is missing or damaged, or its positions are not those of the run.
+        RunError: The evaluation is missing or damaged, contradicts itself, or its positions are not those of the run.
     """
     check_type("run", run, RunFolder, "the folder of a run, RunFolder(path)")
     run.verify()
     config, summary = run.experiment(trust), run.evaluation()
     # Nothing is claimed where no episode is valid: its positions may not even be finite, where a training diverged.
-    if not run.evaluation_files[1].exists() or len(summary["failures"]) == summary["episodes"]:
-        return summary
-    trajectories = run.trajectories(config)
-    return summary | _measured(trajectories, check_validity(trajectories, config.world, config.thresholds))
+    trajectories = run.trajectories(config, finite=len(summary["failures"]) < summary["episodes"])
+    return _judged(config, summary.get("seed", SEED), summary["starts"], trajectories).summary()
+
+
+def _judged(experiment: ExperimentConfig, seed: int, starts: dict[str, str], trajectories: Trajectories) -> Evaluation:
+    """Checks every episode by its positions, and computes its kinematic bound: NaN where they are not finite."""
+    # In float64, in which squares of whatever a float32 holds are finite.
+    pairs = zip(trajectories.positions[:, 0].astype(float), trajectories.final.astype(float), strict=True)
+    bound = [
+        bound_steps(first, final, experiment.world.max_speed) if np.isfinite([first, final]).all() else math.nan
+        for first, final in pairs
+    ]
+    validity = check_validity(trajectories, experiment.world, experiment.thresholds)
+    return Evaluation(experiment, seed, starts, trajectories, validity, np.array(bound))
 
 
 def _measured(trajectories: Trajectories, validity: Validity) -> dict[str, Any]:
-    """Returns what evaluation.json says of the episodes, but for what takes long to compute."""
+    """Returns how many episodes meet each condition, and in how many steps."""
     episodes, total = len(trajectories.lengths), float(trajectories.lengths.mean())
     # A list of one policy has no switch: all steps are the base policy's.
     base = float((trajectories.switch[:, 0] if trajectories.switch.shape[1] else trajectories.lengths).mean())

@@ -33,7 +33,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from murmurate import untrusted
-from murmurate.discovery import Search, Snapshot, policy_name, policy_templates
+from murmurate.discovery import STATIONARY_STEPS, Search, Snapshot, policy_name, policy_templates
 from murmurate.errors import MAX_INTEGER, RunError, check_path, check_type, shown
 from murmurate.representation import short_repr
 from murmurate.runs import experiment as configuration
@@ -497,7 +497,7 @@ class RunFolder:
             `starts` is a dictionary, see `describe_starts`.
 
         Raises:
-            RunError: It is missing or incomplete.
+            RunError: It is missing or incomplete, or contradicts itself.
         """
         path, remedy = self._inside(EVALUATION), self._remedy
         summary = files.read_json_object(path)
@@ -519,32 +519,41 @@ class RunFolder:
             raise RunError(
                 f"{path} has failures = {shown(failures)}, which are not of its {episodes} episodes: {remedy}"
             )
+        contradiction = _contradiction(summary)
+        if contradiction:
+            raise RunError(f"{path} contradicts itself: {contradiction}: {remedy}")
         self._check_evaluated(EVALUATION)
         for name in (*_FRACTIONS, *_STEPS):
             summary[name] = float("nan") if summary[name] is None else float(summary[name])
         return summary
 
-    def trajectories(self, config: ExperimentConfig | None = None) -> Trajectories:
+    def trajectories(self, config: ExperimentConfig | None = None, finite: bool = True) -> Trajectories:
         """Reads the episodes of the evaluation.
 
         Args:
-            config: The run's configuration, which they must be of.
+            config: The run's configuration, which they must be of, and which says how many steps they can have.
+            finite: Refuse episodes in which a position or signal is not finite.
 
         Returns:
             The episodes. Version 0.1.0 did not record `terminated` and `epochs`: there they are false, and the lengths;
             nor `after_rest`, without which no pattern counts as stationary.
 
         Raises:
-            RunError: They are missing, damaged, not of this experiment, or not finite.
+            RunError: They are missing, damaged, impossible, not of this experiment, or not finite.
         """
         path = self._inside(TRAJECTORIES)
-        robots, episodes = None, None
+        robots, episodes, policies, version = None, None, None, FORMAT
         if self._inside(EVALUATION).exists():
             summary = self.evaluation()
             robots, episodes = summary.get("robots"), summary["episodes"]
+        if self._inside(MANIFEST).exists():
+            manifest = self.manifest()
+            policies, version = len(manifest["policies"]), manifest["format"]
 
         def check(headers: dict[str, files.ArrayHeader]) -> None:
-            _check_headers(path, headers, episodes, robots)
+            _check_headers(path, headers, episodes, robots, policies)
+            if config is not None:
+                _check_sizes(path, headers, config)
 
         arrays = files.read_npz(path, (*_REQUIRED, "terminated", "epochs", "interventions", "after_rest"), check)
         self._check_evaluated(TRAJECTORIES)
@@ -552,16 +561,13 @@ class RunFolder:
         if config is not None and (names, positions.shape[2]) != (list(config.signal_names), config.world.robots):
             what = f"{positions.shape[2]} robots and the signals {', '.join(names)}"
             raise RunError(f"{path} is not of this experiment: it has {what}")
-        lengths, signals = arrays["lengths"].astype(int), arrays["signals"]
-        if lengths.min() < 0 or lengths.max() >= positions.shape[1]:
-            raise RunError(f"{path} has lengths that are not from 0 to {positions.shape[1] - 1}")
-        after_rest = arrays.get("after_rest")
+        lengths, signals, after_rest = arrays["lengths"].astype(int), arrays["signals"], arrays.get("after_rest")
         recorded = (positions, signals, *([] if after_rest is None else [after_rest]))
-        if not all(np.isfinite(array).all() for array in recorded):
+        if finite and not all(np.isfinite(array).all() for array in recorded):
             raise RunError(f"{path} has positions or signals that are not finite: the training diverged")
         if len(set(names)) < len(names):
             raise RunError(f"{path} has signal_names = {shown(names)}, which are not different from each other")
-        return Trajectories(
+        trajectories = Trajectories(
             positions=positions,
             lengths=lengths,
             switch=arrays["switch"].astype(int),
@@ -572,6 +578,11 @@ class RunFolder:
             after_rest=after_rest,
             signals={name: signals[..., index] for index, name in enumerate(names)},
         )
+        # In version 0.1.0, moves that were begun before the end of an episode went on after it.
+        impossible = _impossibility(trajectories, holds_still=version == FORMAT)
+        if impossible:
+            raise RunError(f"{path} has {impossible}")
+        return trajectories
 
     def record(self) -> dict[str, Any] | None:
         """Reads the pattern that is better than the best known one, as an entry of that table; None without one."""
@@ -625,7 +636,9 @@ class RunFolder:
 _REQUIRED = ("positions", "lengths", "switch", "signals", "signal_names", "at_rest")
 
 
-def _check_headers(path: Path, headers: dict[str, files.ArrayHeader], episodes: int | None, robots: Any) -> None:
+def _check_headers(
+    path: Path, headers: dict[str, files.ArrayHeader], episodes: int | None, robots: Any, policies: int | None
+) -> None:
     """Checks that the arrays of an evaluation fit together, before any of them takes memory.
 
     Args:
@@ -633,19 +646,20 @@ def _check_headers(path: Path, headers: dict[str, files.ArrayHeader], episodes: 
         headers: What they say of themselves.
         episodes: The number of episodes of the evaluation beside them; None without one.
         robots: Its swarm size, where it has one.
+        policies: The length of the run's list of policies; None while it is being trained.
     """
     for name in _REQUIRED:
         if name not in headers:
             raise RunError(f"{path} lacks {name}")
     shape, kind = headers["positions"].shape, headers["positions"].dtype.kind
-    if len(shape) != 4 or shape[3] != 2 or 0 in shape or kind != "f":
+    if len(shape) != 4 or shape[3] != 2 or 0 in shape or kind != "f" or shape[0] > MAX_EPISODES:
         have = headers["positions"]
         raise RunError(f"{path} has positions as {have}, not as float32[episodes, steps + 1, robots, 2]")
     names, switch = headers["signal_names"].shape, headers["switch"].shape
     after = headers["after_rest"].shape if "after_rest" in headers else ()
     expected = {
         "lengths": ("iu", shape[:1]),
-        "switch": ("iu", (shape[0], switch[-1] if switch else 0)),
+        "switch": ("iu", (shape[0], (switch[-1] if switch else 0) if policies is None else policies - 1)),
         "at_rest": ("b", shape[:1]),
         "signal_names": ("U", names[:1] or (0,)),
         "signals": ("f", (*shape[:2], names[0] if names else 0)),
@@ -659,6 +673,83 @@ def _check_headers(path: Path, headers: dict[str, files.ArrayHeader], episodes: 
             raise RunError(f"{path} has {name} as {headers[name]}, which does not fit positions of {list(shape)}")
     if shape[0] != (episodes or shape[0]) or shape[2] != (robots or shape[2]):
         raise RunError(f"{path} is not of the evaluation beside it: its positions are {list(shape)}")
+
+
+def _check_sizes(path: Path, headers: dict[str, files.ArrayHeader], config: ExperimentConfig) -> None:
+    """Checks that the arrays of an evaluation are no larger than its experiment lets them be, before they take memory.
+
+    Args:
+        path: The file, for messages.
+        headers: What they say of themselves; see `_check_headers`.
+        config: The run's configuration.
+    """
+    policies = headers["switch"].shape[1] + 1
+    most = {
+        "positions": config.rest_in_steps.max_steps * policies + 1,
+        "after_rest": STATIONARY_STEPS * config.scheduler.period,
+    }
+    for name, steps in most.items():
+        if name in headers and headers[name].shape[1] > steps:
+            raise RunError(f"{path} has {name} as {headers[name]}, but its experiment ends after {steps} of them")
+    for name in ("positions", "signals", "after_rest"):
+        if name in headers and headers[name].dtype.itemsize > 4:
+            raise RunError(f"{path} has {name} as {headers[name]}, not as float32")
+    longest = max(map(len, config.signal_names))
+    if (
+        headers["signal_names"].shape[0] != len(config.signal_names)
+        or headers["signal_names"].dtype.itemsize > 4 * longest
+    ):
+        raise RunError(f"{path} is not of this experiment: it has signal_names as {headers['signal_names']}")
+
+
+def _impossibility(trajectories: Trajectories, holds_still: bool) -> str:
+    """Returns in words what no rollout could have recorded; nothing where all is possible.
+
+    Args:
+        trajectories: The episodes.
+        holds_still: Whether nobody may move after the length of an episode.
+    """
+    lengths, (_, configurations, robots, _) = trajectories.lengths, trajectories.positions.shape
+    if lengths.min() < 0 or lengths.max() >= configurations:
+        return f"lengths that are not from 0 to {configurations - 1}"
+    turns = np.column_stack([np.zeros_like(lengths), trajectories.switch, lengths])
+    if (turns[:, 1:] < turns[:, :-1]).any():
+        return "switch that is not from 0 to the length of each episode, one policy after another"
+    for name, most in (("epochs", lengths), ("interventions", lengths * robots)):
+        counts = getattr(trajectories, name)
+        if counts is not None and ((counts < 0) | (counts > most)).any():
+            return f"{name} that {'no' if name == 'interventions' else 'so few'} steps can have"
+    if holds_still:
+        for positions, length in zip(trajectories.positions, lengths, strict=True):
+            after, end = positions[length + 1 :], positions[length]
+            if ((after != end) & ~(np.isnan(after) & np.isnan(end))).any():
+                return "positions that change after the end of an episode"
+    return ""
+
+
+def _contradiction(summary: Mapping[str, Any]) -> str:
+    """Returns in words where a summary of an evaluation contradicts itself; nothing where it does not."""
+    episodes, valid = summary["episodes"], summary["valid"]
+    formed = 1 - len(summary["failures"]) / episodes
+    if valid is None or abs(valid - formed) > ROUNDING:
+        return f"valid = {shown(valid)} with {len(summary['failures'])} failures of {episodes}"
+    low, high = (valid if bound is None else bound for bound in summary["valid_interval"])
+    if not low - ROUNDING <= valid <= high + ROUNDING:
+        return f"valid = {shown(valid)} outside valid_interval = {shown(summary['valid_interval'])}"
+    for name in _FRACTIONS:
+        if summary[name] is not None and summary[name] < valid - ROUNDING:
+            return f"{name} = {shown(summary[name])} below valid = {shown(valid)}"
+    base, auxiliary, total, bound = (summary[name] for name in _STEPS)
+    slack = STEPS_ROUNDING * (1 + (total or 0))
+    if None not in (base, auxiliary, total) and abs(base + auxiliary - total) > slack:
+        return f"total_steps = {shown(total)} with base_steps = {shown(base)} and auxiliary_steps = {shown(auxiliary)}"
+    if None not in (bound, total) and bound > total + slack:
+        return f"bound_steps = {shown(bound)} above total_steps = {shown(total)}"
+    return ""
+
+
+ROUNDING, STEPS_ROUNDING = 1e-9, 1e-3
+"""By how much shares may differ that should be equal; and steps, as a share of them: positions are float32."""
 
 
 def is_fresh(summary: Mapping[str, Any]) -> bool:
