@@ -16,6 +16,7 @@ from murmurate.discovery import build_cascade, build_networks
 from murmurate.discovery.stage import draw_key
 from murmurate.errors import InputError
 from murmurate.geometry import visible
+from murmurate.policies import ClearanceShield
 from murmurate.runs import presets
 from murmurate.runs.run import Run
 from murmurate.world import apply_dead_zone
@@ -40,7 +41,8 @@ pytestmark = pytest.mark.filterwarnings("ignore:::(jax2onnx|onnx|onnx_ir|flax|or
 def untrained(kind, policies=2, objective="C2", seed=0, factor=1, walls=False):
     """A run whose policies nobody trained, but which do move, faster by a factor."""
     world = {"robots": ROBOTS, "half_width": 30.0, "half_height": 25.0, "scan_radius": 100.0}
-    hidden = {"policy": {"use": kind, "hidden": [12, 8]}, "rest": REST, "seed": seed}
+    local = {"walls": walls, "gaps": walls} if kind == "local" else {}
+    hidden = {"policy": {"use": kind, "hidden": [12, 8], **local}, "rest": REST, "seed": seed}
     eyes = {"sensing": {"use": "visible", "rotation": True, "walls": walls}} if kind == "local" else {}
     config = presets.resolve("F", {"objective": objective, "world": world, "start": {"use": "random"}}, hidden, eyes)
     chosen = [build_networks(config, draw_key(config, index, "networks"))[0] for index in range(policies)]
@@ -132,10 +134,12 @@ def test_a_central_cascade_has_a_dynamic_batch_and_its_own_number_of_robots():
 
 
 @eqx.filter_jit
-def velocities_in_world(env, policy, positions, dead_zone):
+def velocities_in_world(env, policy, positions, dead_zone, shield):
     state = env.state(positions, 0)
     observation = env.observe(state)
-    return state.frames, apply_dead_zone(policy(observation), observation, *dead_zone)
+    wanted = apply_dead_zone(policy(observation), observation, *dead_zone)
+    observed = state if hasattr(state, "frames") else state.inner  # within the state of the shield
+    return observed.frames, shield(wanted, observation, env.config)
 
 
 @functools.cache
@@ -143,7 +147,7 @@ def local(objective, walls):
     run = untrained("local", policies=1, objective=objective, factor=10, walls=walls)
     if walls:
         rest = replace(run.experiment.rest, dead_zone=0.3, sidestep=0.5)
-        run = run.under(replace(run.experiment, rest=rest))
+        run = run.under(replace(run.experiment, rest=rest, shield=ClearanceShield()))
     return run, onnx.export(run)
 
 
@@ -154,7 +158,8 @@ def test_a_robot_with_its_own_eyes_moves_by_its_model_as_in_the_world(objective,
     starts = run.starts(40, 1)
     env = run.cascade.env
     dead_zone = (run.experiment.least_speed, run.experiment.sidestep)
-    frames, expected = velocities_in_world(env, run.cascade.policies[0], np.moveaxis(starts, 0, -1), dead_zone)
+    policy, shield = run.cascade.policies[0], run.experiment.prepared_shield
+    frames, expected = velocities_in_world(env, policy, np.moveaxis(starts, 0, -1), dead_zone, shield)
     expected = np.moveaxis(expected, -1, 0)
     aside = np.linalg.norm(expected, axis=-1) == 0.5
     assert aside.any() == walls

@@ -106,13 +106,19 @@ def widest_gap(
         seen: Which robots each robot sees.
     """
     angle = jnp.where(seen, jnp.arctan2(jnp.where(seen, uy, 0.0), jnp.where(seen, ux, 1.0)), NO_GAP)
-    angle = jnp.sort(angle, axis=1)
+    first = jnp.min(angle, axis=1, keepdims=True, initial=NO_GAP) + 2 * math.pi
+    if isinstance(angle.shape[1], int):
+        angle, share = jnp.sort(angle, axis=1), 1.0
+        following = jnp.concatenate([angle[:, 1:], jnp.full_like(angle[:, :1], NO_GAP)], axis=1)
+    else:
+        # A program for swarms of any size, which ONNX cannot sort. Robots in one direction have one gap together.
+        pairs = angle[:, None], angle[:, :, None]
+        share = 1 / jnp.sum(jnp.where(pairs[0] == pairs[1], 1.0, 0.0), axis=2)
+        following = jnp.min(jnp.where(pairs[0] > pairs[1], pairs[0], NO_GAP), axis=2, initial=NO_GAP)
     # The last of those that are seen is followed by the first, a turn later.
-    first = angle[:, :1] + 2 * math.pi
-    following = jnp.concatenate([angle[:, 1:], jnp.full_like(first, NO_GAP)], axis=1)
     following = jnp.where(following < NO_GAP, following, first)
     gap = jnp.where(angle < NO_GAP, following - angle, 0.0) / math.pi
-    weight = gap**WIDEST
+    weight = share * gap**WIDEST
     middle = angle + gap * (math.pi / 2)
     # A robot that sees nobody has no gap, and no direction.
     total = jnp.maximum(jnp.sum(weight, axis=1), 1e-9)

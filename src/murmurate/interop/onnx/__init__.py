@@ -261,7 +261,11 @@ def _views_and_velocities(
     inputs = {"others": scale[:, None] * others, "point": scale * np.stack([view.landmark_x, view.landmark_y], axis=1)}
     if view.walls is not None:
         inputs["walls"] = scale[:, None] * view.walls
-    return {name: _robots_as_batch(inputs[name]) for name in program.inputs}, (_robots_as_batch(velocities),)
+    # A model takes a robot at the observer's own place for no robot, and a shield would hold its observer.
+    at_one_place = (view.seen & (view.x == 0) & (view.y == 0)).any(axis=1)
+    complete = ~at_one_place.T.ravel() | run.experiment.shield.is_trivial
+    given = {name: _robots_as_batch(inputs[name])[complete] for name in program.inputs}
+    return given, (_robots_as_batch(velocities)[complete],)
 
 
 def _robots_as_batch(array: Float[np.ndarray, "robots *axes batch"]) -> Float[np.ndarray, "members *axes"]:
