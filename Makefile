@@ -70,7 +70,7 @@ seeds: $(VENV)/.core  ## trains sixteen seeds of A-F (an hour or two); writes do
 optima: $(VENV)/.core  ## searches for better patterns than the best known (two hours); keeps what is better
 	$(BIN)/python -m benchmarks.optima
 
-pretrained: $(VENV)/.core  ## trains the weights that come with the package (an hour and a half on two cores)
+pretrained: $(VENV)/.core  ## trains the weights that come with the package (two hours on two cores)
 	$(BIN)/python -m benchmarks.pretrained
 
 models: $(VENV)/.core  ## the package's weights from every set of starts (hours); writes the tables of docs/models.md

@@ -1,4 +1,4 @@
-"""Trains the weights that come with the package anew: `make pretrained` (an hour and a half on two cores).
+"""Trains the weights that come with the package anew: `make pretrained` (two hours on two cores).
 
 python -m benchmarks.pretrained [--runs runs] [--only-finished]
 

@@ -7,7 +7,16 @@ import types
 
 import murmurate
 
-INTERNAL = {"__main__", "compilation_cache", "forks", "interrupts", "prng", "representation", "untrusted"}
+INTERNAL = {
+    "__main__",
+    "compilation_cache",
+    "forks",
+    "interrupts",
+    "prng",
+    "representation",
+    "terminal",
+    "untrusted",
+}
 
 
 def test_every_public_name_and_module_is_there_and_listed():

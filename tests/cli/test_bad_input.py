@@ -189,7 +189,7 @@ def test_a_file_of_starts_that_is_missing_or_no_text(refused, discovered, tmp_pa
 
 def test_a_name_of_starts_that_is_misspelled(refused, discovered):
     line = refused("evaluate", discovered, "--starts", "clusters")
-    assert "starts = 'clusters': must be one of scattered, " in line
+    assert "starts = 'clusters': must be one of random, polygon, line, " in line
     assert "or a CSV file; did you mean cluster?" in line
 
 

@@ -106,5 +106,5 @@ def test_experiments_choose_it():
     assert config_io.from_dict(WorldConfig, config_io.to_dict(config.world)) == config.world
     with pytest.raises(InputError, match=r"bounded = 'no'.*true or false"):
         WorldConfig(bounded="no")  # type: ignore[arg-type]
-    with pytest.raises(InputError, match=r"sensing\.walls.*policy\.walls"):
+    with pytest.raises(InputError, match=r"sensing\.walls = False: must be true"):
         tiny(policy={"use": "local", "hidden": [4, 4], "walls": True}, sensing={"use": "visible"})

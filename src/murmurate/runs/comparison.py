@@ -609,6 +609,9 @@ def _read_rows(path: Path, settings: Mapping[str, Any]) -> dict[Condition, dict[
             kind = _BY_NAME[name]
             same = all(key not in old or _is_same(kind, old[key], new) for key, new in value.items())
         if not same:
+            if isinstance(old, dict) and isinstance(value, dict):
+                field = next(key for key in {**value, **old} if old.get(key) != value.get(key))
+                name, old, value = f"{name}.{field}", old.get(field), value.get(field)
             what = f"{name} is {shown(old)} there, {shown(value)} here"
             raise RunError(f"{path} holds another comparison: {what}; choose another folder")
     names = Condition.__dataclass_fields__

@@ -141,9 +141,8 @@ class World(eqx.Module):
 
     def signals(self, positions: Float[Array, "robots 2 *batch"]) -> dict[str, Float[Array, "*batch"]]:
         """Returns the signals of configurations by name."""
-        configuration = Configuration(positions, self.config)
-        self._check_robots(configuration.positions)
-        return self.objective.measure(configuration)
+        self._check_robots(jnp.shape(positions))
+        return self.objective.measure(Configuration(positions, self.config))
 
     def state(self, positions: Float[Array, "robots 2 *batch"], seed: Any = 0) -> State:
         """Returns the state at the beginning of an episode from the given configurations.
@@ -153,7 +152,7 @@ class World(eqx.Module):
             seed: Not used: the world draws nothing. Wrappers may.
         """
         del seed
-        self._check_robots(positions)
+        self._check_robots(positions.shape)
         return in_tiles(self._state, positions.shape[0], positions)
 
     def reset_batch(self, key: PRNGKeyArray, batch: int) -> State:
@@ -170,10 +169,10 @@ class World(eqx.Module):
         """Returns the positions: the paper's policy sees all of them."""
         return state.positions
 
-    def _check_robots(self, positions: Float[Array, "robots 2 *batch"]) -> None:
+    def _check_robots(self, shape: tuple[Any, ...]) -> None:
         robots = self.config.robots
-        if positions.shape[:2] != (robots, 2):
-            raise InputError("positions", f"an array {positions.shape}", f"of shape ({robots}, 2, ...), the batch last")
+        if shape[:2] != (robots, 2):
+            raise InputError("positions", f"an array {shape}", f"of shape ({robots}, 2, ...), the batch last")
 
     def _state(self, positions: Float[Array, "robots 2 *batch"]) -> State:
         configuration = Configuration(positions, self.config)
