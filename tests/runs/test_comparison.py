@@ -289,7 +289,7 @@ def test_another_comparison_is_not_mixed_in(done, setting, runs):
 def test_rows_of_other_settings_are_not_reused(name, changed, done, setting, runs):
     folder, wanted, _ = done
     base = config_io.replaced(setting.base, changed)
-    with pytest.raises(RunError, match=f"holds another comparison: {name}[.\w]* is .* there, .* here; choose"):
+    with pytest.raises(RunError, match=rf"holds another comparison: {name}[.\w]* is .* there, .* here; choose"):
         compare(replace(setting, base=base), wanted, runs, folder)
 
 
