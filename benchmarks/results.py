@@ -74,8 +74,7 @@ def results(rows: Sequence[Sequence[str]]) -> str:
 
 def _short(text: str) -> str:
     """Shortens cells that would make the table wider than the page."""
-    printed = text.replace(" printed, ", "<br>(").replace(" summed", ")")
-    return printed.removesuffix(f" of {EPISODES}")
+    return text.partition(" printed")[0].removesuffix(f" of {EPISODES}")
 
 
 def write(runs: list[Path], out: Path, commands: str) -> None:
@@ -121,8 +120,9 @@ What was measured, and the command that measures it again.
 
 ## The paper's experiments
 
-Made by {commands}, which trains experiments A to F with seeds 0, 1, 2 (finished runs are reused) and writes this page;
-`make results` trains both policies. Versions: {machine}.
+Made by {commands}, which trains experiments A to F with seeds 0, 1, 2
+(finished runs are reused) and writes this page. `make results` trains both policies.
+Versions: {machine}.
 
 Every row is one training with the settings of `murmurate discover` for that experiment and policy, evaluated on 200
 fresh starts with the paper's noise $U(-2R, 2R)$; none of them was seen in training. The `equivariant` policy has one
@@ -139,8 +139,9 @@ auxiliary policies in A, B, E and F, the rule of rest in A and D, the least numb
 - In row E of its table, the paper prints a total that is not the sum of its parts: 1168.83 printed, 745.27 summed.
 - Training seconds are those of these runs, on one core that other work shared.
 
-**Where valid is far below 200**, swarms form a pattern and do not stop, or do not stay: a ring that turns as a whole,
-a little faster than the dead zone lets it rest. No signal changes then, and motion costs too little in training.
+**Where valid is far below 200**, most swarms form a pattern and do not stop, or do not stay. In C with seed 1 all rings
+turn as a whole, at 0.12 of the speed limit, where less than 0.1 would be rest. No signal changes then, and motion costs
+too little in training to stop it.
 
 **Your digits will differ.** Sums in floating point depend on the processor and on the number of threads, and training
 amplifies that. Compare ranges over seeds, not single numbers. All runs here were pinned to one core (`taskset -c 1`).
