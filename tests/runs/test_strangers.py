@@ -187,6 +187,11 @@ def test_folders_of_a_sweep_or_comparison_are_no_links(strange, tmp_path):
     (tmp_path / "out" / ".conditions").symlink_to(strange.path)
     with pytest.raises(RunError, match=r"\.conditions is a link"):
         comparison.compare(comparison.Comparison(tiny(), 1), [], {}, tmp_path / "out")
+    (tmp_path / "out" / ".conditions").unlink()
+    (tmp_path / "out" / ".conditions").mkdir()
+    (tmp_path / "out" / ".conditions" / "circle-3").symlink_to(strange.path)
+    with pytest.raises(RunError, match="circle-3 is a link"):
+        comparison.compare(comparison.Comparison(tiny(), 1), [], {}, tmp_path / "out")
     assert (strange.path / "policies" / "0-base.safetensors").exists()
 
 

@@ -353,8 +353,9 @@ def compare(
     files.make_folder(folder)
     with locked(files.inside(folder, JOBS)):
         for old in (folder / JOBS).iterdir():
-            # Left over from a comparison that was interrupted, perhaps with other weights.
-            if old.is_dir():
+            # Left over from a comparison that was interrupted, perhaps with other weights. A link is refused: the row
+            # of its condition would be written where it leads.
+            if files.inside(folder, f"{JOBS}/{old.name}").is_dir():
                 shutil.rmtree(old, ignore_errors=True)
 
         def keep(name: str) -> None:
