@@ -181,9 +181,10 @@ class Cascade(eqx.Module):
                 before = sum(int(batch.lengths.max()) for batch in batches)
                 on_chunk(before + steps, max_steps, len(batches) * size + ended)
 
+        cascade = _committed(self)
         for first in firsts:
             part = slice(first, first + size)
-            batches.append(self._execute_batch(starts[part], keys[part], size, most, report))
+            batches.append(cascade._execute_batch(starts[part], keys[part], size, most, report))
         return _concatenated(batches)
 
     def _execute_batch(
@@ -205,10 +206,7 @@ class Cascade(eqx.Module):
         """
         episodes, robots, _ = starts.shape
         chosen = np.where(np.arange(size) < episodes, np.arange(size), 0)
-        # Committed to its device, as the weights of a training are and all that is computed with them: otherwise the
-        # second chunk would be another program than the first.
-        positions = jnp.asarray(np.moveaxis(starts[chosen], 0, -1))
-        positions = jax.device_put(positions, positions.sharding)
+        positions = _committed(jnp.asarray(np.moveaxis(starts[chosen], 0, -1)))
         status, first = _begin(self, positions, jnp.asarray(keys[chosen]), jnp.asarray(episodes, jnp.int32))
         parts = [jax.device_get(first)]
         chunk = max(2, min(CHUNK, CHUNK_TRIPLES // (size * robots**3)))
@@ -283,6 +281,16 @@ def _concatenated(batches: Sequence[Trajectories]) -> Trajectories:
     )
 
 
+def _committed(tree: Any) -> Any:
+    """Returns a PyTree with its arrays committed to the default device.
+
+    Weights that come from a training are committed to a device, and weights that come from a file are not. JAX would
+    compile a program for each.
+    """
+    arrays, others = eqx.partition(tree, eqx.is_array)
+    return eqx.combine(jax.device_put(arrays, jnp.zeros(()).sharding), others)
+
+
 @eqx.filter_jit
 def _episode_key_data(seed: UInt32[Array, ""], episodes: int) -> UInt32[Array, "episodes two"]:
     return jax.random.key_data(jax.random.split(prng.key(seed), episodes))
@@ -302,9 +310,9 @@ def _begin(
         state=cascade.env.state(positions, prng.wrap(keys)),
         signals=signals,
         # The rest of the batch has ended before it began.
-        active_policy=jnp.where(jnp.arange(batch) < episodes, 0, len(cascade.policies)),
+        # Everything is of a stated type, not a weak one: otherwise the next call would be compiled once more.
+        active_policy=jnp.where(jnp.arange(batch) < episodes, zero, len(cascade.policies)),
         steps_active=zero,
-        # Of a stated type, not a weak one: the next call would be compiled once more.
         recent_changes=jnp.full((cascade.rest.window, batch), jnp.inf, jnp.float32),
         still_steps=zero,
         unmoved_steps=zero,
