@@ -18,9 +18,9 @@ os.environ.setdefault("MURMURATE_CACHE", str(ROOT / ".cache"))
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 if os.environ.get("MURMURATE_TEST_COMPILER") != "full":
-    # What a test runs once takes longer to compile than to run: it is compiled faster, here and in the processes that
-    # tests start, but for `make test-nightly`. (Without any optimisation some programs are compiled wrongly.)
-    flags = "--xla_backend_optimization_level=1 --xla_cpu_use_fusion_emitters=false"
+    # What a test runs once takes longer to compile than to run: it is not optimised, here and in the processes that
+    # tests start, but for `make test-nightly`.
+    flags = "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
     os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {flags} --xla_cpu_parallel_codegen_split_count=1"
 
 import filelock

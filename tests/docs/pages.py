@@ -121,13 +121,15 @@ class Reader:
         small: list[str] = []
         if arguments[0] == "discover":
             small = [*TINY, *self.small_policy(arguments)]
-        elif arguments[0] == "evaluate" and "--starts" not in arguments:
+        elif arguments[0] == "evaluate" and not any(word.endswith(".csv") for word in arguments):
             small = ["--episodes", "8"]
         elif arguments[0] == "show" and "--robots" in arguments:
-            small = ["--robots", "4"]
+            small = ["--robots", "3"]
         elif arguments[0] == "compare":
-            small = ["--robots", "4", "--episodes", "4", "--schedulers", "fsync"]
+            small = ["--robots", "3", "--episodes", "4", "--schedulers", "fsync"]
             small += [] if "--methods" in arguments else ["--methods", "learned,circle"]
+            if "--starts" in arguments:
+                small += ["--starts", arguments[arguments.index("--starts") + 1].split(",")[0]]
         status = main([*arguments, *small])
         # Nothing need have been learned in two updates.
         assert status in ((0, 3, 5) if arguments[0] == "discover" else (0,)), (
