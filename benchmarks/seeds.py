@@ -129,7 +129,7 @@ def row(result: Study, seeds: int) -> tuple[str, ...]:
     several = [pattern for pattern in classes if len(pattern.seeds) > 1]
     counts = (classes, several, result.unseen, result.tightened, result.annealed.classes, result.missed)
     return (
-        *(result.experiment, str(paper.robots), paper.objective),
+        *(result.experiment, str(paper.world.robots), paper.objective),
         f"{len({finding.run for finding in findings})} of {seeds}",
         f"{len(findings)} of {episodes}",
         f"{100 * min(gaps):.2f}%" if gaps else table.NONE,
@@ -208,9 +208,10 @@ def write(studies: Sequence[Study], seeds: int, out: Path) -> None:
     figures = out / "figures"
     figures.mkdir(parents=True, exist_ok=True)
     plates = []
-    for robots in sorted({EXPERIMENTS[result.experiment].robots for result in studies}):
+    for robots in sorted({EXPERIMENTS[result.experiment].world.robots for result in studies}):
         name = f"discovered-{robots}.png"
-        plate(robots, [result for result in studies if EXPERIMENTS[result.experiment].robots == robots], figures / name)
+        same_size = [result for result in studies if EXPERIMENTS[result.experiment].world.robots == robots]
+        plate(robots, same_size, figures / name)
         plates.append(f"![Patterns of {robots} robots that the runs discovered](figures/{name})\n")
     text = PAGE.format(
         seeds=seeds,

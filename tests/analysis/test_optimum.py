@@ -70,10 +70,7 @@ def test_weights_decide_what_is_given_up():
 def test_chains_never_overlap_and_stay_inside():
     result = anneal(
         lambda positions: -((positions - 7.0) ** 2).sum(axis=(0, 1)),
-        robots=4,
-        radius=1.0,
-        safe_distance=5.0,
-        bounds=(8.0, 9.0),
+        WorldConfig(robots=4, half_width=8.0, half_height=9.0),
         seed=0,
         config=SHORT,
     )

@@ -67,6 +67,8 @@ HEADER = (
 class Finding:
     """One valid pattern and its origin.
 
+    It has no `WorldConfig`: a catalogue records three sizes of the world, and neither its sides nor the speed limit.
+
     Attributes:
         positions: Centres of the robots at rest, world units.
         radius: The paper's R_bot, world units.

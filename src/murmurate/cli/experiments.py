@@ -46,12 +46,14 @@ def _print_all() -> None:
 
     table = Table(*HEADER, box=None, padding=(0, 2, 0, 0))
     for row in EXPERIMENTS.values():
+        world = row.world
+        sizes = (world.half_width, world.radius, world.scan_radius, world.safe_distance, world.max_speed)
         table.add_row(
             row.name,
-            str(row.robots),
+            str(world.robots),
             "at the origin" if row.objective == "C1" else "anywhere",
             row.start,
-            *(f"{value:g}" for value in (row.half_side, row.radius, row.scan_radius, row.safe_distance, row.max_speed)),
+            *(f"{value:g}" for value in sizes),
             f"{row.total_steps:.2f}",
         )
     Console().print(table)

@@ -8,10 +8,11 @@ from murmurate.discovery.build import (
     check_parts,
     policy_templates,
 )
-from murmurate.discovery.cascade import STATIONARY_STEPS, Cascade, RestRule
+from murmurate.discovery.cascade import STATIONARY_STEPS, Cascade
 from murmurate.discovery.curriculum import Curriculum
 from murmurate.discovery.limits import MAX_REST_STEPS, rollout
 from murmurate.discovery.problem import DiscoveryConfig, Problem, StageConfig
+from murmurate.discovery.rest import RestRule
 from murmurate.discovery.search import Search, Snapshot, advance_together
 from murmurate.discovery.stage import Stage, policy_name
 from murmurate.discovery.validity import Validity, bound_steps, check_validity

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import equinox as eqx
@@ -13,11 +12,12 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from murmurate import prng
-from murmurate.errors import MAX_INTEGER, MAX_MAGNITUDE, InputError, RunError, check_function, check_number
+from murmurate.discovery.rest import RestLimits, RestRule, all_still, has_ended
+from murmurate.errors import InputError, RunError, check_function, check_number
 from murmurate.types import Trajectories
 from murmurate.world import World, Wrapper, checked_starts, episodes_at_once
 
-__all__ = ["MAX_RECORD_BYTES", "STATIONARY_STEPS", "Cascade", "RestRule"]
+__all__ = ["MAX_RECORD_BYTES", "STATIONARY_STEPS", "Cascade"]
 
 MAX_RECORD_BYTES = 1 << 32
 """Memory of the positions of a rollout, at most: 10,000 episodes of ten robots, more than 5,000 steps each."""
@@ -39,47 +39,6 @@ A move may begin a period after its look, and between two looks there is at most
 """
 
 
-@dataclass(frozen=True)
-class RestRule:
-    """When a policy has brought the swarm to rest, and what robots do for it.
-
-    The robots of the last policy stop without being told. A policy that another one follows hands over as
-    soon as the objective changes no more, which only somebody who looks at the whole swarm can know.
-
-    Attributes:
-        window: Steps for which robots must be still, and over which the mean change of the objective is taken.
-        stillness: A robot is still in a step in which it moves no farther than so many radii (the last policy).
-        switch_tolerance: A policy that another one follows ends where the mean |change of the objective| is below this,
-            with the signals' own weights: it need not settle what the next one moves again.
-        dead_zone: A robot that wants to move slower than this share of the speed limit stands still, in training as in
-            execution.
-        sidestep: Share of the speed limit at which a robot that would stand still between two others that it sees,
-            occluding one from the other, moves along the first axis of its own frame instead; 0: it stands still.
-        max_steps: Steps after which a policy that does not come to rest is cut off.
-    """
-
-    window: int = 5
-    stillness: float = 1e-3
-    switch_tolerance: float = 1.5e-3
-    dead_zone: float = 0.1
-    sidestep: float = 0.0
-    max_steps: int = 300
-
-    def __post_init__(self) -> None:
-        for name in ("window", "max_steps"):
-            check_number(name, getattr(self, name), 1, MAX_INTEGER, integer=True)
-        check_number("stillness", self.stillness, 0, MAX_MAGNITUDE)
-        check_number("switch_tolerance", self.switch_tolerance, 0, MAX_MAGNITUDE, exclusive_low=True)
-        check_number("dead_zone", self.dead_zone)
-        if not 0 <= self.dead_zone < 1:
-            allowed = "a number >= 0 and less than 1: at 1 no robot would ever move along an axis"
-            raise InputError("dead_zone", self.dead_zone, allowed)
-        check_number("sidestep", self.sidestep, 0, 1)
-        if self.sidestep and not 0 < self.dead_zone <= self.sidestep:
-            allowed = f"0, or at least dead_zone ({self.dead_zone:g}), which must not be 0: no robot would stand still"
-            raise InputError("sidestep", self.sidestep, allowed)
-
-
 class _Status(eqx.Module):
     """The state of the cascade in each episode of the batch.
 
@@ -88,7 +47,7 @@ class _Status(eqx.Module):
         signals: Signals of that state by name.
         active_policy: Place in the list of the policy that acts; the number of policies when all are done.
         steps_active: Steps for which it has acted.
-        recent_changes: Its last changes of the objective.
+        recent_changes: The last changes of the objective.
         still_steps: Its last steps in a row in which every robot was still.
         unmoved_steps: Its last steps in a row in which no robot moved at all.
         length: Steps so far.
@@ -313,7 +272,7 @@ def _begin(
         # Everything is of a stated type, not a weak one: otherwise the next call would be compiled once more.
         active_policy=jnp.where(jnp.arange(batch) < episodes, zero, len(cascade.policies)),
         steps_active=zero,
-        recent_changes=jnp.full((cascade.rest.window, batch), jnp.inf, jnp.float32),
+        recent_changes=jnp.zeros((cascade.rest.window, batch), jnp.float32),
         still_steps=zero,
         unmoved_steps=zero,
         length=zero,
@@ -347,16 +306,15 @@ def _step(cascade: Cascade, status: _Status) -> tuple[_Status, tuple[Array, dict
     change = jnp.abs(after.objective - status.state.objective)
     recent_changes = jnp.concatenate([status.recent_changes[1:], change[None]])
     moves = after.positions - status.state.positions
-    is_still = jnp.all(jnp.sum(moves**2, axis=1) <= (rest.stillness * cascade.world.config.radius) ** 2, axis=0)
+    is_still = all_still(moves, rest.stillness, cascade.world.config.radius)
     still_steps = jnp.where(is_still, status.still_steps + 1, 0)
     unmoved_steps = jnp.where(jnp.all(moves == 0, axis=(0, 1)), status.unmoved_steps + 1, 0)
     steps_active = status.steps_active + moving
     is_last = status.active_policy == len(cascade.policies) - 1
-    # Robots of the last policy stop without being told; the others end by what only the whole swarm shows.
-    settled = jnp.where(is_last, still_steps >= rest.window, recent_changes.mean(axis=0) < rest.switch_tolerance)
-    ending = moving & ~status.watched
-    rested = ending & settled & ~terminated
-    over = rested | (ending & (steps_active >= rest.max_steps))
+    limits = RestLimits.from_rule(rest)
+    rested, ended = has_ended(is_last, still_steps, recent_changes.mean(axis=0), steps_active, limits)
+    may_end = moving & ~status.watched & ~terminated
+    over = may_end & ended
     hands_over = over & ~is_last
     # The active policy was still at work at this step; the next one, if any, takes over after it.
     index = jnp.arange(len(cascade.policies))[:, None]
@@ -366,12 +324,12 @@ def _step(cascade: Cascade, status: _Status) -> tuple[_Status, tuple[Array, dict
         signals=signals,
         active_policy=status.active_policy + over,
         steps_active=jnp.where(over, 0, steps_active),
-        recent_changes=jnp.where(over, jnp.inf, recent_changes),
+        recent_changes=recent_changes,
         still_steps=jnp.where(hands_over, 0, still_steps),
         unmoved_steps=jnp.where(moving, jnp.where(hands_over, 0, unmoved_steps), status.unmoved_steps),
         length=length,
         switch=switch,
-        at_rest=status.at_rest | (rested & is_last),
+        at_rest=status.at_rest | (may_end & rested & is_last),
         terminated=terminated,
         watched=status.watched,
     )

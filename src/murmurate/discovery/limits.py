@@ -16,8 +16,9 @@ from jaxtyping import Float
 
 from murmurate import prng
 from murmurate.discovery.build import build_networks
-from murmurate.discovery.cascade import MAX_RECORD_BYTES, Cascade, RestRule
+from murmurate.discovery.cascade import MAX_RECORD_BYTES, Cascade
 from murmurate.discovery.problem import Problem
+from murmurate.discovery.rest import RestRule
 from murmurate.discovery.stage import policy_name
 from murmurate.errors import InputError, RunError, check_type
 from murmurate.types import Trajectories

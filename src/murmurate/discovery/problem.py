@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
-from murmurate.discovery.cascade import RestRule
+from murmurate.discovery.rest import RestRule
 from murmurate.errors import MAX_INTEGER, MAX_MAGNITUDE, InputError, check_choice, check_number, check_type
 from murmurate.learning import LEARNERS, GradientConfig, LearnerConfig, PPOConfig
 from murmurate.policies import NoShield, Policy, Shield

@@ -36,6 +36,9 @@ _MAX_COLUMNS = 8  # leave room for a caption
 class PlatePattern:
     """One pattern of a plate.
 
+    It has no `WorldConfig`: the findings of a catalogue and the best-known patterns have none, and a plate draws robots
+    and sight alone.
+
     Attributes:
         positions: Centres, world units; turned as they are to be shown.
         radius: The paper's R_bot, world units.
@@ -66,7 +69,7 @@ class PlatePattern:
 
     @property
     def world(self) -> WorldConfig:
-        """The sizes of the robots; a plate shows neither the edge of the world nor the safe distance."""
+        """The robots' own sizes, as `SwarmArtist` takes them; a plate draws nothing that depends on the others."""
         return WorldConfig(
             robots=len(self.positions),
             radius=self.radius,

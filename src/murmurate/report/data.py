@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from murmurate.plots import Recording
 from murmurate.report.plan import Plan
 from murmurate.report.runs import Result
 from murmurate.representation import short_repr
+from murmurate.world import WorldConfig
 
 __all__ = ["REASONS", "Command", "Machine", "Measures", "Pattern", "ReportData", "measure"]
 
@@ -55,9 +56,8 @@ class Measures:
         experiment: The experiment's name.
         policy: central or equivariant.
         seed: The training's seed.
-        robots: Swarm size.
+        world: Sizes of the world, which is a square, and its robots.
         start: Kind of start.
-        half_side: X = Y, world units.
         valid_pattern: Whether the training discovered a valid pattern.
         policies: Length of the list of policies.
         episodes: Episodes of the evaluation.
@@ -82,9 +82,8 @@ class Measures:
     experiment: str
     policy: str
     seed: int
-    robots: int
+    world: WorldConfig
     start: str
-    half_side: float
     valid_pattern: bool
     policies: int
     episodes: int
@@ -106,6 +105,21 @@ class Measures:
 
     __repr__ = short_repr
 
+    def to_dict(self) -> dict[str, Any]:
+        """Returns the numbers as a dictionary for JSON."""
+        numbers = asdict(self)
+        del numbers["world"]
+        first = {
+            "run": self.run,
+            "experiment": self.experiment,
+            "policy": self.policy,
+            "seed": self.seed,
+            "robots": self.world.robots,
+            "start": self.start,
+            "half_side": self.world.half_width,
+        }
+        return first | numbers
+
 
 def measure(result: Result) -> Measures:
     """Returns the numbers of a finished run."""
@@ -118,9 +132,8 @@ def measure(result: Result) -> Measures:
         experiment=config.name,
         policy=result.planned.learner,
         seed=config.seed,
-        robots=config.world.robots,
+        world=config.world,
         start=config.start.name,
-        half_side=config.world.half_width,
         valid_pattern=bool(manifest["valid_pattern"]),
         policies=len(manifest["policies"]),
         episodes=episodes,

@@ -66,7 +66,7 @@ def draw_figures(data: ReportData, pictures: Pictures) -> dict[str, str]:
             row = EXPERIMENTS[name]
             fields = {
                 "name": name,
-                "robots": row.robots,
+                "robots": row.world.robots,
                 "start": row.start,
                 "target": _TARGETS[row.objective],
             }
@@ -149,7 +149,7 @@ def _growth_figure(data: ReportData, pictures: Pictures) -> str:
             growths.append(plots.Growth(start, list(finite), steps, bound, valid))
     # Of Table IV, the experiments that start and gather as the study does.
     rows = [row for row in EXPERIMENTS.values() if row.objective == "C1" and row.start in data.sizes]
-    points = [plots.PaperPoint(row.name, row.robots, row.total_steps, row.start) for row in rows]
+    points = [plots.PaperPoint(row.name, row.world.robots, row.total_steps, row.start) for row in rows]
     text = (
         "Swarm size against formation steps (the paper's Fig. 9): our means, straight lines through them, the "
         "kinematic bound, and the totals of the paper's Table IV."

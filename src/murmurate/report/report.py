@@ -188,12 +188,12 @@ def _numbers(data: ReportData) -> dict[str, Any]:
     command = data.command
     experiments = {
         name: {
-            "paper": asdict(EXPERIMENTS[name]) | {"summed_steps": EXPERIMENTS[name].summed_steps},
-            **{preset: asdict(run) for preset, run in runs.items()},
+            "paper": EXPERIMENTS[name].to_dict(),
+            **{preset: run.to_dict() for preset, run in runs.items()},
         }
         for name, runs in data.experiments.items()
     }
-    sizes = {start: {str(robots): asdict(run) for robots, run in runs.items()} for start, runs in data.sizes.items()}
+    sizes = {start: {str(robots): run.to_dict() for robots, run in runs.items()} for start, runs in data.sizes.items()}
     lines = {
         start: {"steps": steps and asdict(steps), "bound": bound and asdict(bound)}
         for start, (steps, bound) in data.lines.items()

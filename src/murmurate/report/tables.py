@@ -70,8 +70,9 @@ def settings_table() -> str:
     targets = {"C1": "origin", "C2": "undefined"}
     rows = []
     for row in EXPERIMENTS.values():
-        sizes = (row.half_side, row.radius, row.scan_radius, row.safe_distance, row.max_speed)
-        labels = (row.name, str(row.robots), targets[row.objective], row.start)
+        world = row.world
+        sizes = (world.half_width, world.radius, world.scan_radius, world.safe_distance, world.max_speed)
+        labels = (row.name, str(world.robots), targets[row.objective], row.start)
         rows.append((*labels, *(f"{value:g}" for value in sizes)))
     header = ("experiment", "swarm size", "gathering target", "initial states")
     header += (_SIDE, "radius R", "scan radius", "safe distance", "speed limit")
@@ -90,7 +91,8 @@ def steps_table(experiments: Mapping[str, ByPolicy]) -> str:
         total = f"{paper.total_steps:.2f}"
         if paper.total_steps != paper.summed_steps:
             total += f" (sums to {paper.summed_steps:.2f})"
-        cells = (name, str(paper.robots), "paper", f"{paper.base_steps:.2f}", f"{paper.auxiliary_steps:.2f}", total)
+        robots = str(paper.world.robots)
+        cells = (name, robots, "paper", f"{paper.base_steps:.2f}", f"{paper.auxiliary_steps:.2f}", total)
         rows.append([f"*{cell}*" for cell in cells] + [NONE] * (len(header) - len(cells)))
         for run in runs.values():
             steps = (run.base_steps, run.auxiliary_steps, run.total_steps, run.bound_steps)
@@ -99,7 +101,7 @@ def steps_table(experiments: Mapping[str, ByPolicy]) -> str:
             gap = f"{100 * run.gap / run.best_known:.2f} %" if run.gap is not None and run.best_known else NONE
             counts = (_of(run.valid, run), _of(free, run), *((gap,) if with_gap else ()))
             cells = (*(_number(value) for value in steps), _number(run.efficiency, 2), *counts)
-            rows.append((name, str(paper.robots), run.policy, *cells))
+            rows.append((name, robots, run.policy, *cells))
     text = (
         "The paper's Table IV, average steps to form a pattern, and below each row ours: means over all episodes, "
         "valid or not."
@@ -135,7 +137,7 @@ def sizes_table(sizes: Mapping[str, Mapping[int, Measures]]) -> str:
     for start, runs in sizes.items():
         for robots, run in runs.items():
             steps = (run.base_steps, run.auxiliary_steps, run.total_steps, run.bound_steps)
-            cells = (start, str(robots), f"{run.half_side:g}", *(_number(value) for value in steps))
+            cells = (start, str(robots), f"{run.world.half_width:g}", *(_number(value) for value in steps))
             rows.append((*cells, _number(run.efficiency, 2), _of(run.valid, run), code(run.run)))
     header = ("start", "swarm size", _SIDE, "base steps", "auxiliary steps", "total steps", "kinematic bound")
     header += ("efficiency", "valid", "run")

@@ -162,7 +162,7 @@ def preset(name: str, learner: str = DEFAULT_LEARNER, objective: str | None = No
     check_choice("experiment", name, tuple(EXPERIMENTS))
     row = EXPERIMENTS[name]
     start = cast(Start, Start.registered()[row.start](noise=NOISE))  # type: ignore[call-arg]
-    config = _experiment(name, objective or row.objective, _world(row), start, learner)
+    config = _experiment(name, objective or row.objective, row.world, start, learner)
     return config_io.replaced(config, EXPERIMENT_OVERRIDES.get(name, {})) if learner == DEFAULT_LEARNER else config
 
 
@@ -253,18 +253,6 @@ def _experiment(name: str, objective: Any, world: WorldConfig, start: Start, lea
         discovery=numbers.discovery,
         rest=numbers.rest,
         seed=0,
-    )
-
-
-def _world(row: PaperExperiment) -> WorldConfig:
-    return WorldConfig(
-        robots=row.robots,
-        half_width=row.half_side,
-        half_height=row.half_side,
-        radius=row.radius,
-        scan_radius=row.scan_radius,
-        safe_distance=row.safe_distance,
-        max_speed=row.max_speed,
     )
 
 

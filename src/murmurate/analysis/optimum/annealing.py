@@ -18,6 +18,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from murmurate.errors import MAX_MAGNITUDE, InputError, check_number
 from murmurate.geometry import _batch_last
 from murmurate.representation import short_repr
+from murmurate.world import WorldConfig
 
 __all__ = ["AnnealingConfig", "anneal"]
 
@@ -69,11 +70,8 @@ class _Chains(eqx.Module):
 
 def anneal(
     score: Score,
+    world: WorldConfig,
     *,
-    robots: int,
-    radius: float,
-    safe_distance: float,
-    bounds: tuple[float, float],
     seed: int,
     config: AnnealingConfig,
 ) -> Float[np.ndarray, "chains robots 2"]:
@@ -81,41 +79,31 @@ def anneal(
 
     Args:
         score: Returns the score of each configuration of a batch; the batch is last.
-        robots: Swarm size.
-        radius: The paper's R_bot; robots never overlap.
-        safe_distance: The paper's delta_s, the unit of length of the moves.
-        bounds: X and Y of the world, which no robot leaves.
+        world: Sizes of the world, which no robot leaves, and of its robots, which never overlap. Its safe distance is
+            the unit of length of the moves.
         seed: Seed of the search.
         config: The numbers of simulated annealing.
 
     Returns:
         The last configuration of each chain, best first.
     """
-    key = jax.random.key(seed)
-    chains = _anneal(score, robots, radius, safe_distance, bounds, key, config)
+    chains = _anneal(score, world, jax.random.key(seed), config)
     order = np.argsort(-np.asarray(chains.score), kind="stable")
     return np.moveaxis(np.asarray(chains.positions, float), -1, 0)[order]
 
 
 @eqx.filter_jit
-def _anneal(
-    score: Score,
-    robots: int,
-    radius: float,
-    safe_distance: float,
-    bounds: tuple[float, float],
-    key: PRNGKeyArray,
-    config: AnnealingConfig,
-) -> _Chains:
+def _anneal(score: Score, world: WorldConfig, key: PRNGKeyArray, config: AnnealingConfig) -> _Chains:
+    robots, safe_distance = world.robots, world.safe_distance
     begin, draws = jax.random.split(key)
     moves = config.moves_per_robot * robots
-    edge = jnp.asarray(bounds)[None, :, None]
+    edge = jnp.asarray((world.half_width, world.half_height))[None, :, None]
     # Teleported robots land in a square a little wider than a triangular lattice of as many robots.
     room = jnp.minimum(safe_distance * math.sqrt(robots), edge)
     pairs = ~jnp.eye(robots, dtype=bool)[..., None]
 
     def fits(positions: Array) -> Array:
-        apart = jnp.all((_batch_last.distances(positions) > 2 * radius) | ~pairs, axis=(0, 1))
+        apart = jnp.all((_batch_last.distances(positions) > 2 * world.radius) | ~pairs, axis=(0, 1))
         return apart & jnp.all(jnp.abs(positions) <= edge, axis=(0, 1))
 
     def move(index: Array, chains: _Chains) -> _Chains:

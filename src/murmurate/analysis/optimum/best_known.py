@@ -34,6 +34,8 @@ RECORD_MARGIN = 1e-6
 class BestKnown:
     """One entry of the table.
 
+    It has no `WorldConfig`: the table records no speed limit, because a pattern at rest has none.
+
     Attributes:
         robots: Swarm size.
         objective: C1 or C2.
@@ -45,7 +47,7 @@ class BestKnown:
         value: The objective, all weights 1.
         signals: Its signals by name.
         positions: Centres, world units.
-        command: The command that known it.
+        command: The command that found it.
         hop: The value that basin hopping reached, a check by another method; None where it was not tried.
     """
 
@@ -117,7 +119,7 @@ class BestKnown:
 
     @property
     def target(self) -> Target:
-        """The objective that the entry is best for, in its world."""
+        """The objective that the entry is best for, in its world; nothing in it depends on the speed limit."""
         return Target(WorldConfig(**{name: getattr(self, name) for name in _SIZES}), self.objective)
 
     def to_dict(self) -> dict[str, Any]:

@@ -134,15 +134,7 @@ def annealed(config: OptimumConfig, on_progress: Callable[..., None] | None = No
         return []
     report = on_progress or (lambda *_: None)
     report("annealing, chains", 0, config.annealing.chains)
-    chains = anneal(
-        _score(target, config.only_valid),
-        robots=world.robots,
-        radius=world.radius,
-        safe_distance=world.safe_distance,
-        bounds=(world.half_width, world.half_height),
-        seed=config.seed,
-        config=config.annealing,
-    )
+    chains = anneal(_score(target, config.only_valid), world, seed=config.seed, config=config.annealing)
     report("annealing, chains", config.annealing.chains, config.annealing.chains)
     best, formations = chains[: config.polished], []
     for positions in best:

@@ -13,9 +13,10 @@ because such a class need not work with a symbolic number of robots.
 from __future__ import annotations
 
 import functools
+import operator
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -23,6 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from murmurate.discovery.rest import RestLimits, all_still, has_ended
 from murmurate.errors import InputError
 from murmurate.registry import Strategy
 from murmurate.runs.run import Run
@@ -93,7 +95,7 @@ def policy_program(run: Run, index: int) -> Program:
     sizes = None if experiment.shield.is_trivial else _sizes(run, foreign)
 
     def act(positions: Array) -> tuple[Array]:
-        world = experiment.world if sizes is None else _world(run, sizes(positions.shape[1]))
+        world = experiment.world if sizes is None else sizes(positions.shape[1])[0]
         return (_batch_first(_shielded(run, policy, _batch_last(positions), world)),)
 
     metadata = _metadata(run, str(index), positions=POSITIONS, velocities=VELOCITIES)
@@ -121,15 +123,14 @@ def cascade_program(run: Run) -> Program:
     width = largest.rest_in_steps.window
 
     def step(positions: Array, memory: Array) -> tuple[Array, Array]:
-        inner, size = _batch_last(positions), sizes(positions.shape[1])
-        world = _world(run, size)
+        inner, (world, limits) = _batch_last(positions), sizes(positions.shape[1])
         value = _objective(run, inner, world)
-        active_policy, steps_active, still_steps, changes = _recall(memory, value, count, size)
+        active_policy, steps_active, still_steps, changes = _recall(memory, value, count, limits)
         velocities = jnp.zeros_like(inner)
         for index, policy in enumerate(policies):
             velocities = jnp.where(active_policy == index, _shielded(run, policy, inner, world), velocities)
-        farthest = jnp.max(jnp.sum(velocities**2, axis=1), axis=0)
-        still_steps = jnp.where(farthest <= (experiment.rest.stillness * world.radius) ** 2, still_steps + 1, 0.0)
+        is_still = all_still(velocities, experiment.rest.stillness, world.radius)
+        still_steps = jnp.where(is_still, still_steps + 1, 0.0)
         columns = [active_policy, steps_active + (active_policy < count), still_steps, value]
         after = jnp.concatenate([jnp.stack(columns, axis=1), changes], axis=1)
         return _batch_first(velocities), after
@@ -190,50 +191,33 @@ def _view_program(run: Run, index: int, foreign: Mapping[str, Strategy]) -> Prog
     return Program(act, inputs, ("velocity",), _metadata(run, str(index), **about), foreign, index)
 
 
-class _Size(NamedTuple):
-    """Everything that depends on the number of robots."""
+_SCALED = ("half_width", "half_height", "scan_radius")
+"""What of a world depends on the number of robots."""
 
-    half_width: Any
-    half_height: Any
-    scan_radius: Any
-    switch_tolerance: Any
-    max_steps: Any
-    window: Any
+_scaled_lengths = operator.attrgetter(*_SCALED)
 
-
-TABLE_SHAPE = (MAX_ROBOTS - MIN_ROBOTS + 1, len(_Size._fields))
+TABLE_SHAPE = (MAX_ROBOTS - MIN_ROBOTS + 1, len(_SCALED) + len(RestLimits._fields))
 """Shape of the table of everything that depends on the number of robots."""
 
 
-def _sizes(run: Run, foreign: Mapping[str, Strategy]) -> Callable[[Any], _Size]:
-    """Returns what depends on the number of robots as a function of that number."""
+def _sizes(run: Run, foreign: Mapping[str, Strategy]) -> Callable[[Any], tuple[WorldConfig, RestLimits]]:
+    """Returns the world and the limits of rest as a function of the number of robots."""
     experiment = run.experiment
-
-    def size(problem: Any) -> _Size:
-        rest, world = problem.rest_in_steps, problem.world
-        sides = (world.half_width, world.half_height, world.scan_radius)
-        return _Size(*sides, rest.switch_tolerance, rest.max_steps, rest.window)
-
     if isinstance(_robots(run, foreign), int):
-        fixed = size(experiment)
-        return lambda robots: fixed
-    # The number of robots is known when the model runs: it is looked up in a table.
-    table = np.array([size(experiment.of_size(robots)) for robots in range(MIN_ROBOTS, MAX_ROBOTS + 1)], np.float32)
+        return lambda robots: (experiment.world, RestLimits.from_rule(experiment.rest_in_steps))
+    # The number of robots is known when the model runs: what depends on it is looked up in a table.
+    problems = (experiment.of_size(robots) for robots in range(MIN_ROBOTS, MAX_ROBOTS + 1))
+    rows = [(*_scaled_lengths(problem.world), *RestLimits.from_rule(problem.rest_in_steps)) for problem in problems]
+    table = np.array(rows, np.float32)
 
-    def look_up(robots: Any) -> _Size:
+    def look_up(robots: Any) -> tuple[WorldConfig, RestLimits]:
         index = jnp.asarray(robots) - MIN_ROBOTS
         # A negative index would count from the end; behind the end, the model fails.
-        return _Size(*jnp.asarray(table)[jnp.where(index < 0, len(table), index)])
+        row = tuple(jnp.asarray(table)[jnp.where(index < 0, len(table), index)])
+        lengths, limits = row[: len(_SCALED)], row[len(_SCALED) :]
+        return eqx.tree_at(_scaled_lengths, experiment.world, lengths), RestLimits(*limits)
 
     return look_up
-
-
-def _world(run: Run, size: _Size) -> WorldConfig:
-    """Returns the world of a swarm of a size, whose sides may be traced."""
-    sides = (size.half_width, size.half_height, size.scan_radius)
-    return eqx.tree_at(
-        lambda world: (world.half_width, world.half_height, world.scan_radius), run.experiment.world, sides
-    )
 
 
 def _robots(run: Run, foreign: Mapping[str, Strategy]) -> int | str:
@@ -255,10 +239,10 @@ def _shielded(
     return jnp.clip(velocities, -world.max_speed, world.max_speed)
 
 
-def _recall(memory: Array, objective: Array, count: int, size: _Size) -> tuple[Array, Array, Array, Array]:
+def _recall(memory: Array, objective: Array, count: int, limits: RestLimits) -> tuple[Array, Array, Array, Array]:
     """Returns the active policy, for how many steps it has been active and all robots still, and the recent changes.
 
-    This is the rule of `discovery.cascade`, one step later: a change is known with the next configuration. How far
+    A policy ends as in `discovery.cascade`, one step later: a change is known with the next configuration. How far
     robots move is what the policy decides.
     """
     active_policy, steps_active = memory[:, _ACTIVE_POLICY], memory[:, _STEPS_ACTIVE]
@@ -268,11 +252,10 @@ def _recall(memory: Array, objective: Array, count: int, size: _Size) -> tuple[A
     shifted = jnp.concatenate([changes[:, 1:], change[:, None]], axis=1)
     still_steps, is_last = memory[:, _STILL_STEPS], active_policy == count - 1
     width = shifted.shape[1]
-    in_window = jnp.arange(width) >= width - size.window
-    mean = jnp.sum(jnp.where(in_window, shifted, 0.0), axis=1) / size.window
-    settled = (steps_active >= size.window) & (mean < size.switch_tolerance)
-    rested = (is_last & (still_steps >= size.window)) | (~is_last & settled)
-    over = has_moved & (active_policy < count) & (rested | (steps_active >= size.max_steps))
+    in_window = jnp.arange(width) >= width - limits.window
+    mean = jnp.sum(jnp.where(in_window, shifted, 0.0), axis=1) / limits.window
+    _, ended = has_ended(is_last, still_steps, mean, steps_active, limits)
+    over = has_moved & (active_policy < count) & ended
     return (
         active_policy + over,
         jnp.where(over, 0.0, steps_active),
