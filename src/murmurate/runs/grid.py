@@ -20,8 +20,8 @@ from murmurate import prng
 from murmurate.discovery import build_world, check_parts
 from murmurate.errors import InputError, RunError, check_choice, check_number, check_path, suggestion
 from murmurate.runs import config_io, files, presets
-from murmurate.runs.experiment import EXPERIMENT, ExperimentConfig, check_seed
-from murmurate.runs.folder import MANIFEST, FolderState, RunFolder
+from murmurate.runs.experiment import ExperimentConfig, check_seed
+from murmurate.runs.folder import FolderState, RunFolder
 from murmurate.runs.paper import EXPERIMENTS
 
 __all__ = ["MAX_RUNS", "Grid"]
@@ -208,12 +208,12 @@ class Grid:
     def _check_alone(self, out: Path) -> None:
         with files.os_errors_as_run_errors(f"cannot write to {out}"):
             inside = sorted(out.iterdir()) if out.exists() else []
-        if any(path.name in (EXPERIMENT, MANIFEST) for path in inside):
+        if RunFolder(out).holds_run():
             raise RunError(f"{out} holds a run itself: choose another --out")
         visible = [path.name for path in inside if not path.name.startswith(".")]
         if visible and not any(name in self.runs for name in visible):
             raise RunError(f"{out} is not empty, and holds no run of this sweep: choose another --out")
-        others = [path.name for path in inside if path.name not in self.runs and (path / EXPERIMENT).exists()]
+        others = [path.name for path in inside if path.name not in self.runs and RunFolder(path).holds_run()]
         if others:
             more = f" and {len(others) - 1} more" if len(others) > 1 else ""
             raise RunError(f"{out} holds runs that the sweep does not name: {others[0]}{more}; choose another --out")
