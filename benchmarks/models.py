@@ -19,6 +19,7 @@ import murmurate
 from murmurate.errors import InputError
 from murmurate.geometry.rings import smallest_ring_radius
 from murmurate.runs import files
+from murmurate.runs.folder import RunFolder, trained_checksums
 from murmurate.runs.pretrained import FOLDER, available
 from murmurate.world.start_sets import FAMILIES
 
@@ -100,7 +101,8 @@ def measure(condition: Condition) -> dict[str, Any] | None:
 
 def weights_of(condition: Condition) -> str:
     """Returns the checksums of the weights that a condition is measured with, and of their experiment."""
-    checksums = files.read_json(FOLDER / condition.objective / condition.sensing / "manifest.json")["checksums"]
+    run = RunFolder(FOLDER / condition.objective / condition.sensing)
+    checksums = trained_checksums(run.manifest())
     return " ".join(checksums[name] for name in sorted(checksums))
 
 

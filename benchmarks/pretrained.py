@@ -11,16 +11,18 @@ from __future__ import annotations
 
 import argparse
 import platform
-import subprocess
-import sys
-from collections.abc import Iterable
-from concurrent.futures import ThreadPoolExecutor
+import shutil
+import tempfile
+from collections.abc import Mapping
 from pathlib import Path
 
-from murmurate.cli.main import NOTHING_VALID, TOO_FEW_VALID
-from murmurate.runs import experiment, files
-from murmurate.runs.folder import MANIFEST, METRICS, RunFolder
+from murmurate.runs import presets
+from murmurate.runs.execute import LocalProcesses, run_jobs
+from murmurate.runs.folder import RunFolder
+from murmurate.runs.grid import Grid
+from murmurate.runs.jobs import training_jobs
 from murmurate.runs.pretrained import FOLDER
+from murmurate.runs.run import Run
 
 RECIPES = Path(__file__).parent / "recipes"
 
@@ -31,38 +33,33 @@ EVERY = 10
 """Of the metrics, the package holds one row in so many: enough to draw how training went."""
 
 
-def train(trainings: Iterable[tuple[Path, Path, Path | None]]) -> None:
-    """Trains, a few at a time, each an experiment to a folder, from the policy of a finished run or from none."""
+def train(recipes: Mapping[str, Path], runs: Path, initial: Mapping[str, Path]) -> None:
+    """Trains, a few at a time, what is not finished.
 
-    def run(training: tuple[Path, Path, Path | None]) -> None:
-        recipe, folder, initial = training
-        command = ["discover", str(recipe), "--out", str(folder), "--resume", "--quiet"]
-        print(f"training {folder.name}", flush=True)
-        result = subprocess.run(
-            [sys.executable, "-m", "murmurate", *command, *([] if initial is None else ["--from", str(initial)])],
-            check=False,
-        )
-        # What is refined need not be valid everywhere before.
-        if result.returncode not in (0, NOTHING_VALID, TOO_FEW_VALID):
-            raise SystemExit(result.returncode)
-
-    with ThreadPoolExecutor(AT_ONCE) as threads:
-        list(threads.map(run, trainings))
+    Args:
+        recipes: The experiments, by the names of their run folders.
+        runs: The folder of all runs.
+        initial: The finished runs whose policies some of them begin with, by the same names.
+    """
+    grid = Grid({name: presets.resolve(recipe) for name, recipe in recipes.items()})
+    grid.check(runs)
+    begun_with = {name: Run.open(folder) for name, folder in initial.items()}
+    statuses = run_jobs(training_jobs(grid, runs, initial=begun_with), LocalProcesses(AT_ONCE, retries=0))
+    failed = [f"{name}: {status.error}" for name, status in statuses.items() if status.state == "failed"]
+    if failed:
+        raise SystemExit("\n".join(failed))
 
 
-def pack(folder: Path, to: Path) -> None:
-    """Copies what the package needs of a run: not its evaluation, and not the kernel of the machine that trained it."""
-    run, copy = RunFolder(folder), RunFolder(to)
-    manifest = run.verify()
-    names = [name for name in manifest["checksums"] if name == experiment.EXPERIMENT or name.startswith("policies/")]
-    for name in names:
-        files.make_folder((to / name).parent)
-        files.write_bytes(to / name, (folder / name).read_bytes())
-    (to / METRICS).unlink(missing_ok=True)
-    copy.append_metrics(run.metrics()[EVERY - 1 :: EVERY])
-    checksums = {name: manifest["checksums"][name] for name in names}
-    platform_name = f"{platform.system()} {platform.machine()}"
-    files.write_json(to / MANIFEST, {**manifest, "platform": platform_name, "checksums": checksums})
+def pack(run: RunFolder, to: Path) -> None:
+    """Puts what the package needs of a run in place of the weights in a folder.
+
+    That is not its evaluation, and not the kernel of the machine that trained it.
+    """
+    system = f"{platform.system()} {platform.machine()}"
+    with tempfile.TemporaryDirectory(dir=to.parent) as folder:
+        copy = run.copy_to(Path(folder) / to.name, metrics_every=EVERY, changes={"platform": system})
+        shutil.rmtree(to)
+        copy.path.rename(to)
 
 
 def main() -> None:
@@ -70,17 +67,19 @@ def main() -> None:
     parser.add_argument("--runs", type=Path, default=Path("runs"), help="where the runs are kept")
     parser.add_argument("--only-finished", action="store_true", help="train nothing, pack what is finished")
     options = parser.parse_args()
-    folders = sorted(path.parent for path in FOLDER.glob(f"*/*/{experiment.EXPERIMENT}"))
-    names = {to: f"{to.parent.name}-{to.name}" for to in folders}
-    trained = {to: options.runs / f"pretrained-{name}" for to, name in names.items()}
-    recipes = {to: path for to, name in names.items() if (path := RECIPES / f"{name}.toml").exists()}
-    discovered = {to: options.runs / f"discovered-{names[to]}" for to in recipes}
+    folders = {f"{path.parent.name}-{path.name}": path for path in sorted(FOLDER.glob("*/*"))}
+    recipes = {name: path for name in folders if (path := RECIPES / f"{name}.toml").exists()}
     if not options.only_finished:
-        train((recipe, discovered[to], None) for to, recipe in recipes.items())
-        train((to / experiment.EXPERIMENT, run, discovered.get(to)) for to, run in trained.items())
-    for to, run in trained.items():
-        pack(run, to)
-        print(f"packed {run.name}: {sum(path.stat().st_size for path in to.rglob('*') if path.is_file())} bytes")
+        train({f"discovered-{name}": path for name, path in recipes.items()}, options.runs, {})
+        train(
+            {f"pretrained-{name}": RunFolder(path).experiment_file for name, path in folders.items()},
+            options.runs,
+            {f"pretrained-{name}": options.runs / f"discovered-{name}" for name in recipes},
+        )
+    for name, path in folders.items():
+        pack(RunFolder(options.runs / f"pretrained-{name}"), path)
+        size = sum(file.stat().st_size for file in path.rglob("*") if file.is_file())
+        print(f"packed pretrained-{name}: {size} bytes")
 
 
 if __name__ == "__main__":

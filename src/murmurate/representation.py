@@ -23,7 +23,8 @@ MAX_ITEMS = 4
 def short_repr(self: Any) -> str:
     """Returns an object's class and those of its fields that differ from their defaults, on one short line.
 
-    A class becomes one with such lines by `__repr__ = short_repr`. Its fields are those of a dataclass, of an Equinox
+    A class becomes one with such lines by `__repr__ = short_repr`. (One that it inherits would be replaced by that of
+    `@dataclass`, and a named tuple inherits from nothing else.) Its fields are those of a dataclass, of an Equinox
     module or of a named tuple; a class of another kind names them in `__match_args__`. Flags are counted, and of large
     arrays only the type and the shape are written. Where the line would be too long, objects in the fields are written
     without theirs, and the last fields are left out.

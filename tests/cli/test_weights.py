@@ -13,6 +13,7 @@ import murmurate
 from murmurate.cli.main import main
 from murmurate.errors import BeyondTrainingWarning, InputError, RunError
 from murmurate.runs import files, pretrained
+from murmurate.runs.folder import RunFolder
 
 
 def refused(capsys, arguments, *parts):
@@ -32,6 +33,7 @@ def test_the_weights_are_small_and_whole():
         for sensing in sensings:
             run = murmurate.pretrained(objective, sensing)
             assert (run.experiment.objective, run.experiment.sensing.name) == (objective, sensing)
+            assert RunFolder(run.folder).metrics()
             assert run.experiment.sensing.rotation
             assert run.experiment.sensing.reflection
             assert set(run.experiment.sizes) <= set(range(3, 29))

@@ -172,6 +172,6 @@ def test_a_training_begins_with_networks_that_are_no_policy_network(tmp_path):
     (begun,) = train._fit_initial(replace(config, seed=1), initial)
     np.testing.assert_array_equal(begun.weight, network.weight)
     assert isinstance(begun, BareNetwork)
-    train.check_initial({tmp_path / "run": config}, False, initial)
+    train.check_initial({tmp_path / "run": config}, False, {tmp_path / "run": initial})
     with pytest.raises(RunError, match="the base policy to begin with"):
         train._fit_initial(replace(config, policy=Bare(width=3)), initial)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import shutil
 import subprocess
 import sys
 import time
+import tomllib
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -107,6 +109,63 @@ def test_every_verb_takes_it_when_it_is_trusted(run, tmp_path, capsys):
     assert status == (0 if json.loads((copy / "evaluation.json").read_text())["valid"] else 2)
     assert (tmp_path / "figures" / "discovery.png").stat().st_size > 1000
     capsys.readouterr()
+
+
+def test_many_begin_with_the_policies_of_a_run(experiment, run, tmp_path, capsys):
+    """Two seeds with two values of a field of one's own start."""
+    words = ["--seeds", "2", "--vary", "start.gap=4.0,5.0", "--from", str(run), "--out", str(tmp_path / "many")]
+    few = ["--discovery.min_policies", "1", "--discovery.max_policies", "1", "--base.ppo.updates", "2", "--quiet"]
+    assert main(["discover", str(experiment), *words, *few, "--trust"]) in (0, 3)
+    checksums = murmurate.load(run, trust=True).manifest["checksums"]
+    for seed, gap in itertools.product((0, 1), (4.0, 5.0)):
+        trained = murmurate.load(tmp_path / "many" / f"own-mine_Linear-seed{seed}-gap{gap}", trust=True)
+        assert (trained.experiment.seed, trained.experiment.start.gap) == (seed, gap)
+        assert trained.manifest["initial"]["checksums"] == {
+            name: value for name, value in checksums.items() if name.startswith("policies/")
+        }
+        # The robot on the inner ring begins there.
+        assert np.abs(np.linalg.norm(trained.starts(8)[:, 1], axis=1) - gap).max() <= 2**0.5
+    assert capsys.readouterr().out.count("| own | mine:Linear |") == 4
+
+
+def test_it_is_exported_when_it_is_trusted(run, tmp_path, capsys):
+    assert main(["export", str(run), "--trust", "--onnx", "--out", str(tmp_path / "own.onnx")]) == 0
+    # A model of its policies and its scheduler, which was compared with the run before it was written.
+    assert "input: positions batch x 3 x 2, float32" in capsys.readouterr().out
+    for kind in ("csv", "json"):
+        path = tmp_path / f"waypoints.{kind}"
+        words = ["--trajectories", kind, "--episodes", "2", "--scale", "0.5", "--out", str(path)]
+        assert main(["export", str(run), "--trust", *words]) == 0
+    positions = murmurate.plots.Recording.open(run, trust=True).trajectories.positions
+    data = json.loads((tmp_path / "waypoints.json").read_text())
+    for episode, recorded in zip(data["episodes"], positions[:2], strict=True):
+        first = [robot[0][1:] for robot in episode["robots"]]
+        np.testing.assert_allclose(first, 0.5 * recorded[0], atol=1e-5)
+
+
+def test_an_experiment_with_own_parts_is_written_out_as_toml(experiment, capsys):
+    assert main(["experiments", str(experiment)]) == 0
+    text = capsys.readouterr().out
+    (experiment.parent / "written.toml").write_text(text)
+    assert presets.resolve(experiment.parent / "written.toml") == presets.resolve(experiment)
+    assert tomllib.loads(text)["start"] == {"use": "mine:Rings", "gap": 3.5}
+
+
+def test_episodes_of_an_evaluation_begin_at_a_start_of_one_s_own(run, tmp_path):
+    words = ["--episodes", "4", "--starts", "mine:Rings", "--out", str(tmp_path / "evaluation"), "--quiet"]
+    assert main(["evaluate", str(run), "--trust", *words]) == 0
+    evaluation = RunFolder(tmp_path / "evaluation").evaluation()
+    assert evaluation["starts"] == {"kind": "drawn", "name": "mine:Rings"}
+    # Those of the class's defaults, not of the run's.
+    inner = RunFolder(tmp_path / "evaluation").trajectories().positions[:, 0, 1]
+    assert (np.abs(np.linalg.norm(inner, axis=1) - 4.0) <= 2**0.5).all()
+
+
+def test_the_search_for_the_best_formation_knows_no_signal_of_ones_own(experiment, capsys):
+    assert main(["optimum", str(experiment)]) == 2
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1
+    assert "signals.calm = 'mine:Calm': must be left out" in err
 
 
 def test_a_stranger_s_run_imports_nothing(run, tmp_path):

@@ -476,6 +476,10 @@ def test_a_copy_is_a_run_of_its_own(finished, tmp_path):
         "checksums": trained_checksums(manifest),
     }
     assert not (copy.path / "evaluation.json").exists()
-    assert copy.metrics() == RunFolder(finished).metrics()
+    rows = RunFolder(finished).metrics()
+    assert copy.metrics() == rows
+    short = RunFolder(finished).copy_to(tmp_path / "short", metrics_every=3, changes={"platform": "any"})
+    assert short.metrics() == [rows[2], rows[5]]
+    assert short.verify()["platform"] == "any"
     with pytest.raises(RunError, match="holds another run"):
         RunFolder(finished).copy_to(copy)

@@ -6,7 +6,7 @@ import pytest
 
 from murmurate.errors import InputError, RunError
 from murmurate.runs import experiment as configuration
-from murmurate.runs.grid import Grid
+from murmurate.runs.grid import Grid, run_name
 from murmurate.runs.jobs import training_jobs
 from tiny import tiny
 
@@ -114,6 +114,18 @@ def test_flags_are_a_grid_of_one_experiment():
     assert list(grid.runs) == [f"tiny-seed{s}-horizon{h}-discount0.80" for s in (3, 4) for h in (7, 9)]
     assert grid.runs["tiny-seed4-horizon9-discount0.80"].auxiliary.ppo.discount == 0.8
     assert grid.varied == ("base.horizon", "auxiliary.ppo.discount")
+
+
+def test_names_of_runs_are_names_of_folders(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a").mkdir()
+    for name in ("a/one.csv", "a_one.csv"):
+        (tmp_path / name).write_text("start,x,y\n0,-5,0\n0,0,0\n0,5,1\n")
+    config, prefix = tiny(start={"use": "file", "file": "a/one.csv"}), run_name("my own", "mine:Linear")
+    grid = Grid.from_flags(config, prefix, 1, ["start.file=a/one.csv"])
+    assert list(grid.runs) == ["my_own-mine_Linear-seed0-filea_one.csv"]
+    with pytest.raises(InputError, match=r"different runs, not my-seed0-filea_one\.csv twice"):
+        Grid.from_flags(config, "my", 1, ["start.file=a/one.csv,a_one.csv"])
 
 
 def test_the_same_experiment_under_two_names_is_refused():

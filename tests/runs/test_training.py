@@ -15,6 +15,7 @@ from murmurate.discovery import Search
 from murmurate.errors import InputError, RunError
 from murmurate.runs import evaluate, files, train
 from murmurate.runs.folder import RunFolder
+from murmurate.runs.jobs import TrainingJob
 from murmurate.runs.run import Run
 from tiny import tiny, write_toml
 
@@ -308,6 +309,23 @@ def test_a_training_that_began_with_a_run_is_resumed_without_it(finished, tmp_pa
     other = replace(initial, manifest={"checksums": {"policies/0-base.safetensors": "other"}})
     with pytest.raises(RunError, match="did not begin with the policies of"):
         train.discover(config, folder, resume=True, initial=other)
+
+
+def test_a_worker_begins_with_the_policies_of_a_run(finished, tmp_path):
+    """It is given the folder alone: what the training begins with is there. So it is when a damaged run is repeated."""
+    initial, config = Run.open(finished), tiny(seed=1)
+    train.discover(config, tmp_path / "here", initial=initial)
+    job = TrainingJob(tmp_path / "worker", config, initial=initial)
+    for _ in range(2):
+        job.prepare()
+        TrainingJob(job.folder).run()
+        assert job.is_finished()
+        assert_same(job.folder, tmp_path / "here")
+        assert RunFolder(job.folder).manifest()["initial"]["seed"] == 0
+        (job.folder / "policies" / "0-base.safetensors").write_bytes(b"damaged")
+    other = TrainingJob(tmp_path / "here", config, initial=replace(initial, manifest={"checksums": {}}))
+    with pytest.raises(RunError, match="did not begin with the policies of"):
+        other.prepare()
 
 
 def test_policies_of_other_shapes_are_refused(finished, tmp_path):

@@ -53,6 +53,7 @@ def run(argv: Sequence[str]) -> int:
     from murmurate.runs import presets
     from murmurate.runs.experiment import read_toml
     from murmurate.runs.folder import RunFolder
+    from murmurate.runs.grid import Grid, run_name
     from murmurate.runs.run import Run
     from murmurate.runs.train import discover
 
@@ -61,11 +62,10 @@ def run(argv: Sequence[str]) -> int:
     overlay = read_toml(options.config) if options.config else {}
     folders = _module_folders(options.config)
     config = presets.resolve(options.experiment, overlay, flags, learner=options.learner, folders=folders)
-    name = f"{config.name}-{options.learner or config.policy.name}"
+    name = run_name(config.name, options.learner or config.policy.name)
     initial = None if options.initial is None else Run.open(options.initial, options.trust)
     if options.seeds is not None or options.vary:
         from murmurate.cli.many import discover_many
-        from murmurate.runs.grid import Grid
 
         grid = Grid.from_flags(config, name, options.seeds if options.seeds is not None else 1, options.vary)
         with _events(options.tensorboard) as events:
@@ -73,7 +73,7 @@ def run(argv: Sequence[str]) -> int:
             return discover_many(grid, out, name, options.resume, options.together, events, options.quiet, initial)
     if options.together is not None:
         raise UsageError("--together is for many runs: it needs --seeds or --vary")
-    folder = RunFolder(options.out or Path("runs") / f"{name}-seed{config.seed}")
+    folder = RunFolder(options.out or Path("runs") / run_name(name, f"seed{config.seed}"))
     try:
         if not sharding.is_first():
             discover(config, folder.path, options.resume, initial=initial)

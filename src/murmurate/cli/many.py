@@ -58,10 +58,12 @@ def discover_many(
     for run, state in grid.check(out, resume=resume).items():
         if state == "finished" and on_metrics is not None:
             on_metrics(out / run)
+    jobs = training_jobs(grid, out, on_metrics, {} if initial is None else dict.fromkeys(grid.runs, initial))
     if initial is not None:
-        check_initial({out / run: config for run, config in grid.runs.items()}, resume, initial)
+        configs = {out / run: config for run, config in grid.runs.items()}
+        check_initial(configs, resume, dict.fromkeys(configs, initial))
     try:
-        run_jobs(training_jobs(grid, out, on_metrics, initial), InProcess(together), quiet=quiet)
+        run_jobs(jobs, InProcess(together), quiet=quiet)
     except KeyboardInterrupt:
         raise KeyboardInterrupt("interrupted; add --resume to the same command to go on") from None
     say_text(table.as_markdown(*table.side_by_side(folders, trust=True)))

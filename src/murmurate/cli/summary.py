@@ -9,7 +9,7 @@ from rich.console import Console
 from murmurate.runs import presets, table
 from murmurate.runs.evaluate import evaluated
 from murmurate.runs.failures import describe_failures
-from murmurate.runs.folder import RECORD, RunFolder
+from murmurate.runs.folder import RunFolder
 from murmurate.runs.run import Run
 from murmurate.terminal import say
 
@@ -27,7 +27,7 @@ def print_results(run: Run, folder: RunFolder) -> None:
     for line in describe_failures(run.experiment, folder.trajectories(run.experiment)):
         say(line)
     if folder.record() is not None:
-        say(f"A valid pattern beats the best known: {folder.path / RECORD} is the new record.")
+        say(f"A valid pattern beats the best known: {folder.record_file} is the new record.")
 
 
 def draw(folder: RunFolder) -> Path:

@@ -26,7 +26,7 @@ def run(argv: Sequence[str]) -> int:
     parser.add_argument("--trust", action="store_true", help=text)
     options, _ = parser.parse(argv)
     from murmurate.runs import table
-    from murmurate.runs.folder import MANIFEST, RunFolder
+    from murmurate.runs.folder import RunFolder
 
     finished, errors = [], {}
     for folder in options.runs:
@@ -40,4 +40,4 @@ def run(argv: Sequence[str]) -> int:
     say_text(table.as_markdown(*table.side_by_side(finished, options.trust)))
     for error in errors.values():
         say(f"murmurate: left out: {error}", file=sys.stderr)
-    return DAMAGED if any((RunFolder(folder).path / MANIFEST).exists() for folder in errors) else 0
+    return DAMAGED if any(RunFolder(folder).is_finished() for folder in errors) else 0

@@ -15,7 +15,7 @@ from murmurate.report.plan import Plan, PlannedRun
 from murmurate.representation import short_repr
 from murmurate.runs.evaluate import evaluated
 from murmurate.runs.execute import Executor, InProcess, run_jobs
-from murmurate.runs.folder import MANIFEST, FolderState, RunFolder, is_fresh
+from murmurate.runs.folder import FolderState, RunFolder, is_fresh
 from murmurate.runs.jobs import training_jobs
 
 __all__ = ["Result", "check", "read", "train"]
@@ -101,10 +101,7 @@ def read(planned: PlannedRun, folder: Path) -> Result:
         RunError: It is damaged or unfinished, or was evaluated from other starts than its experiment's.
     """
     run = RunFolder(folder)
-    manifest, summary = run.verify(), evaluated(run)
+    manifest, summary = run.verify(NEEDED), evaluated(run)
     if not is_fresh(summary):
         raise RunError(f"{folder} was evaluated from other starts: make it again with murmurate evaluate {folder}")
-    missing = NEEDED - manifest.keys()
-    if missing:
-        raise RunError(f"{folder / MANIFEST} lacks {min(missing)}")
     return Result(planned, folder, manifest, summary)

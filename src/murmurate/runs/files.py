@@ -385,6 +385,8 @@ def append_rows(path: str | Path, rows: Iterable[Mapping[str, Any]]) -> None:
         RunError: The file cannot be written.
     """
     data = "".join(to_json(row) + "\n" for row in rows).encode()
+    if not data:
+        return
     with os_errors_as_run_errors(f"cannot write {path}"), _open_rows(path) as file:
         size = file.seek(0, os.SEEK_END)
         try:

@@ -41,7 +41,16 @@ from murmurate.runs import files
 from murmurate.runs.experiment import EXPERIMENT, ExperimentConfig, is_start_file
 from murmurate.types import Trajectories
 
-__all__ = ["MAX_EPISODES", "Checkpoint", "FolderState", "RunFolder", "describe_starts", "is_fresh", "trained_checksums"]
+__all__ = [
+    "MAX_EPISODES",
+    "Checkpoint",
+    "FolderState",
+    "RunFolder",
+    "describe_starts",
+    "is_fresh",
+    "policy_checksums",
+    "trained_checksums",
+]
 
 FORMAT, OLD_FORMAT = 2, 1
 """The format of manifests, and that of version 0.1.0, whose checksums are of the training's files alone."""
@@ -58,6 +67,8 @@ EVALUATION = "evaluation.json"
 TRAJECTORIES = "trajectories.npz"
 RECORD = "record.json"
 CHECKPOINT = "checkpoint"
+POLICIES = "policies"
+FIGURES = "figures"
 SNAPSHOT, INITIAL = "snapshot.safetensors", "initial.safetensors"
 LOCK = ".training.lock"
 
@@ -135,7 +146,7 @@ class RunFolder:
         Raises:
             RunError: It is a link.
         """
-        return self._inside("figures")
+        return self._inside(FIGURES)
 
     def _inside(self, name: str) -> Path:
         """Returns the path of one of the run's files or folders, which is no link."""
@@ -147,11 +158,41 @@ class RunFolder:
             return os.listdir(self.path)
 
     @property
+    def experiment_file(self) -> Path:
+        """The file of the configuration, to be named in a message."""
+        return self.path / EXPERIMENT
+
+    @property
     def evaluation_files(self) -> tuple[Path, Path]:
-        """The files of the evaluation: its summary and its trajectories."""
+        """The files of the evaluation, to be named in a message: its summary and its trajectories."""
         return self.path / EVALUATION, self.path / TRAJECTORIES
 
+    @property
+    def record_file(self) -> Path:
+        """The file of a pattern that is better than the best known one, to be named in a message."""
+        return self.path / RECORD
+
     # What the folder holds
+
+    def holds_run(self) -> bool:
+        """Returns whether the folder holds a run, however far it is."""
+        return self._has(EXPERIMENT) or self.is_finished()
+
+    def is_finished(self) -> bool:
+        """Returns whether the folder holds a finished run; its files may be damaged, see `is_whole`."""
+        return self._has(MANIFEST)
+
+    def is_trained(self) -> bool:
+        """Returns whether the policies are written: the training is over, the evaluation may not be."""
+        return self._has(POLICIES)
+
+    def is_evaluated(self) -> bool:
+        """Returns whether the folder holds an evaluation."""
+        return self._has(TRAJECTORIES)
+
+    def _has(self, name: str) -> bool:
+        """Returns whether there is something of this name in the folder, a link included."""
+        return os.path.lexists(self.path / name)
 
     def inspect(self, resume: bool = False) -> FolderState:
         """Returns what the folder holds, after checking that nothing in it would be overwritten; writes nothing.
@@ -201,7 +242,7 @@ class RunFolder:
                     stack.enter_context(untrusted.locked(path))
                 except BlockingIOError:
                     raise RunError(f"{self.path} is in use: another process trains this run") from None
-            for name in (".", "policies", CHECKPOINT):  # of a process that was killed here
+            for name in (".", POLICIES, CHECKPOINT):  # of a process that was killed here
                 files.remove_partial(self._inside(name))
             yield
 
@@ -290,19 +331,26 @@ class RunFolder:
         files.write_json(self._inside(MANIFEST), contents)
         return self.manifest()
 
-    def verify(self) -> dict[str, Any]:
+    def verify(self, needed: Iterable[str] = ()) -> dict[str, Any]:
         """Checks the configuration and the policies of a finished run by their checksums.
 
         The files of its evaluation are checked when they are read: an evaluation that was interrupted can be made
         again.
 
+        Args:
+            needed: Fields that the manifest must have.
+
         Returns:
             The manifest.
 
         Raises:
-            RunError: The run is not finished, a file is missing or changed, or the manifest is damaged.
+            RunError: The run is not finished, a file is missing or changed, or the manifest is damaged or lacks a
+                field.
         """
         manifest = self.manifest()
+        missing = sorted(set(needed) - manifest.keys())
+        if missing:
+            raise RunError(f"{self.path / MANIFEST} lacks {missing[0]}")
         for name in trained_checksums(manifest):
             self._check(name, manifest)
         for name in self._names():
@@ -340,7 +388,7 @@ class RunFolder:
 
     def _check_evaluated(self, name: str) -> None:
         """Checks a file of the evaluation of a run that is finished; before that it has no checksum."""
-        if os.path.lexists(self.path / MANIFEST):
+        if self.is_finished():
             self._check(name, self.manifest(), f": {self._remedy}")
 
     @property
@@ -363,7 +411,7 @@ class RunFolder:
 
     def write_policies(self, policies: Sequence[Any]) -> None:
         """Writes the policies of the list."""
-        files.make_folder(self._inside("policies"))
+        files.make_folder(self._inside(POLICIES))
         for name, policy in zip(_policy_files(len(policies)), policies, strict=True):
             files.write_tree(self._inside(name), policy)
 
@@ -452,7 +500,7 @@ class RunFolder:
         Raises:
             RunError: The file is damaged.
         """
-        if os.path.lexists(self.path / MANIFEST) and os.path.lexists(self.path / METRICS):
+        if self.is_finished() and self._has(METRICS):
             self._check(METRICS, self.manifest())
         return self.new_metrics(0)[0]
 
@@ -615,21 +663,28 @@ class RunFolder:
             manifest = self.manifest()
             self.write_manifest(manifest, len(manifest["policies"]))
 
-    def copy_to(self, folder: str | os.PathLike[str]) -> RunFolder:
+    def copy_to(
+        self, folder: str | os.PathLike[str], *, metrics_every: int = 1, changes: Mapping[str, Any] | None = None
+    ) -> RunFolder:
         """Copies a finished run without its evaluation and figures.
+
+        Args:
+            folder: The folder of the copy.
+            metrics_every: Of the rows of metrics, one in so many is copied.
+            changes: Fields of the manifest to replace.
 
         Raises:
             RunError: The folder holds something, or cannot be written to; or this run is damaged.
         """
-        manifest, copy = self.verify(), RunFolder(folder)
-        names = [name for name in (*trained_checksums(manifest), METRICS) if self._inside(name).exists()]
+        manifest, rows, copy = self.verify(), self.metrics(), RunFolder(folder)
         copy.create()
-        for name in names:
+        for name in trained_checksums(manifest):
             target = copy._inside(name)
             files.make_folder(target.parent)
             files.write_bytes(target, files.read_bytes(self._inside(name)))
+        copy.append_metrics(rows[metrics_every - 1 :: metrics_every])
         # The manifest last: it marks the copy as complete.
-        copy.write_manifest(manifest, len(manifest["policies"]))
+        copy.write_manifest({**manifest, **(changes or {})}, len(manifest["policies"]))
         return copy
 
 
@@ -771,7 +826,7 @@ def describe_starts(summary: Mapping[str, Any]) -> str:
 
 
 def _policy_files(count: int) -> list[str]:
-    return [f"policies/{index}-{policy_name(index)}.safetensors" for index in range(count)]
+    return [f"{POLICIES}/{index}-{policy_name(index)}.safetensors" for index in range(count)]
 
 
 def _trained_files(count: int, names: Iterable[str]) -> list[str]:
@@ -783,6 +838,11 @@ def trained_checksums(manifest: Mapping[str, Any]) -> dict[str, str]:
     """Returns the checksums of the configuration and the policies, whatever these were evaluated on."""
     sums = manifest["checksums"]
     return {name: sums[name] for name in _trained_files(len(manifest["policies"]), sums) if name in sums}
+
+
+def policy_checksums(manifest: Mapping[str, Any]) -> dict[str, str]:
+    """Returns the checksums of the policies alone."""
+    return {name: value for name, value in manifest["checksums"].items() if name.startswith(f"{POLICIES}/")}
 
 
 def _is_metrics(row: Mapping[str, Any]) -> bool:

@@ -20,11 +20,11 @@ from murmurate import prng
 from murmurate.discovery import build_world, check_parts
 from murmurate.errors import InputError, RunError, check_choice, check_number, check_path, suggestion
 from murmurate.runs import config_io, files, presets
-from murmurate.runs.experiment import EXPERIMENT, ExperimentConfig, check_seed
-from murmurate.runs.folder import MANIFEST, FolderState, RunFolder
+from murmurate.runs.experiment import ExperimentConfig, check_seed
+from murmurate.runs.folder import FolderState, RunFolder
 from murmurate.runs.paper import EXPERIMENTS
 
-__all__ = ["MAX_RUNS", "Grid"]
+__all__ = ["MAX_RUNS", "Grid", "run_name"]
 
 MAX_RUNS = 10_000
 MAX_NAME = 160
@@ -175,9 +175,12 @@ class Grid:
         ):
             chosen = dict(zip(axes, texts, strict=True))
             values = {path: config_io.parse(leaves[path].kind, text, path) for path, text in chosen.items()}
-            label = "".join(f"-{path.rpartition('.')[2]}{text}" for path, text in chosen.items())
+            labels = [f"{path.rpartition('.')[2]}{text}" for path, text in chosen.items()]
+            name = run_name(prefix, f"seed{seed}", *labels)
+            if name in runs:
+                raise InputError("--vary", vary, f"values that name different runs, not {name} twice")
             changed = config_io.replaced(config, config_io.nested(values))
-            runs[f"{prefix}-seed{seed}{label}"] = replace(changed, seed=seed)
+            runs[name] = replace(changed, seed=seed)
         return cls(runs, tuple(axes))
 
     def check(self, out: str | Path, *, resume: bool = True, exclusive: bool = False) -> dict[str, FolderState]:
@@ -208,12 +211,12 @@ class Grid:
     def _check_alone(self, out: Path) -> None:
         with files.os_errors_as_run_errors(f"cannot write to {out}"):
             inside = sorted(out.iterdir()) if out.exists() else []
-        if any(path.name in (EXPERIMENT, MANIFEST) for path in inside):
+        if RunFolder(out).holds_run():
             raise RunError(f"{out} holds a run itself: choose another --out")
         visible = [path.name for path in inside if not path.name.startswith(".")]
         if visible and not any(name in self.runs for name in visible):
             raise RunError(f"{out} is not empty, and holds no run of this sweep: choose another --out")
-        others = [path.name for path in inside if path.name not in self.runs and (path / EXPERIMENT).exists()]
+        others = [path.name for path in inside if path.name not in self.runs and RunFolder(path).holds_run()]
         if others:
             more = f" and {len(others) - 1} more" if len(others) > 1 else ""
             raise RunError(f"{out} holds runs that the sweep does not name: {others[0]}{more}; choose another --out")
@@ -265,11 +268,14 @@ def _build(
 def _name(config: ExperimentConfig, learner: str | None, values: Mapping[str, Any]) -> str:
     """Names a run by its experiment, training preset and seed, and by the values of the axes."""
     parts = [config.name, learner or config.policy.name, f"seed{config.seed}"]
-    parts += [f"{path}={_text(value)}" for path, value in values.items()]
-    name = re.sub(r"[^\w.,+=-]+", "_", "-".join(parts))
-    if len(name) <= MAX_NAME:
-        return name
-    return f"{name[:MAX_NAME]}-{hashlib.sha256('-'.join(parts).encode()).hexdigest()[:8]}"
+    return run_name(*parts, *(f"{path}={_text(value)}" for path, value in values.items()))
+
+
+def run_name(*parts: str) -> str:
+    """Returns the name of a run and its folder: its parts, with _ for what file systems may refuse."""
+    text = "-".join(parts)
+    name = re.sub(r"[^\w.,+=-]+", "_", text)
+    return name if len(name) <= MAX_NAME else f"{name[:MAX_NAME]}-{hashlib.sha256(text.encode()).hexdigest()[:8]}"
 
 
 def _text(value: Any) -> str:

@@ -118,7 +118,7 @@ class TrainingJob(Job):
         folder: The run folder.
         config: The experiment; None to read it from the folder.
         on_metrics: See `train.discover`; only in this process.
-        initial: See `train.discover`; only in this process.
+        initial: See `train.discover`.
     """
 
     folder: Path
@@ -135,11 +135,19 @@ class TrainingJob(Job):
 
     def prepare(self) -> None:
         """See `Job`."""
-        run = RunFolder(self.folder)
-        if run.inspect(resume=True) == "finished" and not run.is_whole():
-            run.unfinish()  # a damaged run is trained again
-        if run.create(resume=True) == "new" and self.config is not None:
-            run.write_experiment(self.config)
+        from murmurate.runs.train import begin_with, check_initial
+
+        run, config = RunFolder(self.folder), self.config
+        if config is not None and self.initial is not None:
+            check_initial({self.folder: config}, True, {self.folder: self.initial})
+        is_damaged = run.inspect(resume=True) == "finished" and not run.is_whole()
+        is_new = run.create(resume=True) == "new"
+        if config is not None and self.initial is not None and (is_new or is_damaged):
+            begin_with(run, config, self.initial)
+        if is_damaged:
+            run.unfinish()  # it is trained again
+        if config is not None and is_new:
+            run.write_experiment(config)
 
     def run(self, on_progress: Callable[..., None] | None = None) -> None:
         """See `Job`."""
@@ -152,7 +160,8 @@ class TrainingJob(Job):
 
         # A worker may import the modules that its sweep names: the user who started the sweep named them.
         configs = {job.folder: job.config or RunFolder(job.folder).experiment(trust=True) for job in jobs}
-        discover_together(configs, True, on_progress, jobs[0].on_metrics, jobs[0].initial)
+        initial = {job.folder: job.initial for job in jobs if job.initial is not None}
+        discover_together(configs, True, on_progress, jobs[0].on_metrics, initial)
 
     def fields(self) -> dict[str, Any]:
         """See `Job`."""
@@ -174,7 +183,8 @@ class TrainingJob(Job):
 
 def _training_progress(folder: Path, config: ExperimentConfig) -> Progress | None:
     """Reads from the metrics of a run how far it is; None while nothing is trained yet."""
-    rows = RunFolder(folder).last_metrics()
+    run = RunFolder(folder)
+    rows = run.last_metrics()
     if not rows:
         return None
     last, speed = rows[-1], rows[-1]["steps_per_second"]
@@ -183,16 +193,27 @@ def _training_progress(folder: Path, config: ExperimentConfig) -> Progress | Non
         steps = last["environment_steps"] - rows[-2]["environment_steps"]
         left = (updates - last["update"]) * steps / speed
     stage = policy_name(policy) + (f" {policy}" if policy > 1 else "")
-    if (folder / "policies").exists():
+    if run.is_trained():
         stage = "evaluation"
     return Progress(stage, last["update"], updates, last["reward"], speed, left)
 
 
 def training_jobs(
-    grid: Grid, out: str | Path, on_metrics: Callable[[Path], None] | None = None, initial: Run | None = None
+    grid: Grid,
+    out: str | Path,
+    on_metrics: Callable[[Path], None] | None = None,
+    initial: Mapping[str, Run] | None = None,
 ) -> list[TrainingJob]:
-    """Returns the trainings of a grid's runs in a folder."""
-    return [TrainingJob(Path(out) / name, config, on_metrics, initial) for name, config in grid.runs.items()]
+    """Returns the trainings of a grid's runs in a folder.
+
+    Args:
+        grid: The runs.
+        out: The folder of all runs.
+        on_metrics: See `train.discover`; only in this process.
+        initial: The runs that trainings begin with, by the names of the grid; the others begin with new policies.
+    """
+    initial = initial or {}
+    return [TrainingJob(Path(out) / name, config, on_metrics, initial.get(name)) for name, config in grid.runs.items()]
 
 
 @dataclass(frozen=True)

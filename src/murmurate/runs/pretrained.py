@@ -8,7 +8,7 @@ from pathlib import Path
 import murmurate
 from murmurate.errors import check_choice
 from murmurate.runs.comparison import SCHEDULERS, SENSINGS
-from murmurate.runs.folder import MANIFEST
+from murmurate.runs.folder import RunFolder
 from murmurate.runs.run import Run
 
 __all__ = ["FOLDER", "available", "pretrained"]
@@ -19,7 +19,7 @@ FOLDER = Path(murmurate.__file__).parent / "pretrained"
 
 def available() -> dict[str, tuple[str, ...]]:
     """Returns the objectives that there are weights for, and for which kinds of sensing."""
-    available = sorted((path.parent.parent.name, path.parent.name) for path in FOLDER.glob(f"*/*/{MANIFEST}"))
+    available = sorted((path.parent.name, path.name) for path in FOLDER.glob("*/*") if RunFolder(path).is_finished())
     return {objective: tuple(sensing for name, sensing in available if name == objective) for objective, _ in available}
 
 

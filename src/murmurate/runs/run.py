@@ -15,9 +15,8 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from murmurate import prng
 from murmurate.discovery import Cascade, Trajectories, build_cascade, policy_templates, rollout
 from murmurate.errors import BeyondTrainingWarning, InputError, RunError, check_number, check_type
-from murmurate.runs import files
-from murmurate.runs.experiment import EXPERIMENT, ExperimentConfig, check_seed
-from murmurate.runs.folder import MAX_EPISODES, METRICS, RunFolder
+from murmurate.runs.experiment import ExperimentConfig, check_seed
+from murmurate.runs.folder import MAX_EPISODES, RunFolder
 from murmurate.runs.given_starts import HELD_OUT, given_starts, starts_key
 from murmurate.world import Start, World, check_configurations, check_pairs, draw_starts
 
@@ -66,7 +65,7 @@ class Run:
         try:
             return cls(run.path, experiment, build_cascade(experiment, policies), manifest)
         except InputError as error:
-            raise RunError(f"{run.path / EXPERIMENT}: {error}") from None
+            raise RunError(f"{run.experiment_file}: {error}") from None
 
     @property
     def world(self) -> World:
@@ -116,14 +115,13 @@ class Run:
         """Writes the run, as it is, to a folder of its own; without an evaluation.
 
         Raises:
-            RunError: The folder holds something already, or cannot be written to.
+            RunError: The folder holds something already, or cannot be written to; or the metrics are damaged.
         """
-        target, metrics = RunFolder(folder), files.inside(self.folder, METRICS)
+        target, rows = RunFolder(folder), RunFolder(self.folder).metrics()
         target.create()
         target.write_experiment(self.experiment)
         target.write_policies(self.cascade.policies)
-        if metrics.exists():
-            files.write_bytes(target.path / METRICS, files.read_bytes(metrics))
+        target.append_metrics(rows)
         target.write_manifest({**self.manifest, "robots": self.experiment.world.robots}, len(self.cascade.policies))
         return target.path
 
@@ -195,7 +193,7 @@ class Run:
 
         folder = RunFolder(self.folder)
         # The folder is that of another experiment where `of_size` or `under` changed this one.
-        if folder.evaluation_files[1].is_file() and folder.experiment() == self.experiment:
+        if folder.is_evaluated() and folder.experiment() == self.experiment:
             return plots.png(plots.discovery_figure(plots.Recording.open(folder)), dpi=110)
         return plots.Recording(self.experiment, self.rollout(PICTURE_EPISODES))._repr_png_()
 

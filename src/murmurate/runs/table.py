@@ -9,11 +9,10 @@ from typing import Any
 
 from rich.table import Table
 
-from murmurate.errors import RunError
 from murmurate.runs import config_io, escape
 from murmurate.runs.evaluate import evaluated
 from murmurate.runs.experiment import ExperimentConfig
-from murmurate.runs.folder import MANIFEST, RunFolder, describe_starts, is_fresh
+from murmurate.runs.folder import RunFolder, describe_starts, is_fresh
 from murmurate.runs.paper import PaperExperiment
 from murmurate.runs.presets import paper_row
 
@@ -177,13 +176,9 @@ def results(folders: Iterable[str | Path], trust: bool = False) -> list[Row]:
 
 
 def _result(folder: RunFolder, trust: bool) -> Row:
-    manifest = folder.verify()
+    manifest = folder.verify(needed=("environment_steps", "train_seconds"))
     config, summary = folder.experiment(trust), evaluated(folder, trust)
     row = paper_row(config) if is_fresh(summary) else None
-    try:
-        training = f"{manifest['environment_steps'] / 1e6:.2f} M", f"{manifest['train_seconds']:.0f} s"
-    except (KeyError, TypeError, ValueError) as error:
-        raise RunError(f"{folder.path / MANIFEST} is incomplete: {error}") from None
     return (
         config.name,
         config.policy.name,
@@ -201,7 +196,8 @@ def _result(folder: RunFolder, trust: bool) -> Row:
         _times(summary),
         gap(summary),
         str(len(manifest["policies"])),
-        *training,
+        f"{manifest['environment_steps'] / 1e6:.2f} M",
+        f"{manifest['train_seconds']:.0f} s",
     )
 
 

@@ -26,10 +26,10 @@ from murmurate.policies import PolicyNetwork
 from murmurate.runs import config_io, files
 from murmurate.runs.evaluate import EPISODES, Evaluation, evaluate
 from murmurate.runs.experiment import ExperimentConfig
-from murmurate.runs.folder import Checkpoint, FolderState, RunFolder
+from murmurate.runs.folder import Checkpoint, FolderState, RunFolder, policy_checksums
 from murmurate.runs.run import Run
 
-__all__ = ["check_initial", "discover", "discover_together"]
+__all__ = ["begin_with", "check_initial", "discover", "discover_together"]
 
 _QUANTITIES = {"reward": "the reward", "policy_loss": "the policy's loss", "value_loss": "the value network's loss"}
 """What is said to have diverged, by its name in a row of metrics; where all are finite, it is a parameter."""
@@ -71,7 +71,8 @@ def discover(
     check_type("config", config, ExperimentConfig, "an experiment, such as murmurate.experiment('C')")
     check_path("folder", folder)
     check_function("on_progress", on_progress, "on_progress(work, done, total, **values)")
-    return discover_together({Path(folder): config}, resume, on_progress, on_metrics, initial)[0]
+    runs = {} if initial is None else {Path(folder): initial}
+    return discover_together({Path(folder): config}, resume, on_progress, on_metrics, runs)[0]
 
 
 @prng.reproducible()
@@ -80,7 +81,7 @@ def discover_together(
     resume: bool = False,
     on_progress: Callable[..., None] | None = None,
     on_metrics: Callable[[Path], None] | None = None,
-    initial: Run | None = None,
+    initial: Mapping[Path, Run] | None = None,
 ) -> list[Run]:
     """Runs many searches side by side, those of the same shapes in one compiled program, each to its own folder.
 
@@ -94,7 +95,7 @@ def discover_together(
         resume: Continue what the folders hold.
         on_progress: See `discover`; it is given the search that is furthest behind, with means over all.
         on_metrics: See `discover`; called for every folder.
-        initial: See `discover`; for all of them.
+        initial: See `discover`; by the run folder of the search that begins with it.
 
     Returns:
         The finished runs, in the order of the folders.
@@ -104,15 +105,17 @@ def discover_together(
         RunError: See `discover`; or the hosts differ in what they were given.
     """
     on_progress, on_metrics = on_progress or (lambda *_, **__: None), on_metrics or (lambda _: None)
+    initial = initial or {}
     folders = {RunFolder(path): config for path, config in configs.items()}
-    command = repr([(str(path), config_io.to_dict(config), _origin(initial)) for path, config in configs.items()])
+    command = repr([(str(path), config_io.to_dict(c), _origin(initial.get(path))) for path, c in configs.items()])
     sharding.check_agreement("the experiment: give all of them the same command", command.encode())
     # Everything that can be wrong is checked before anything is written.
     states = _inspect(folders, resume, initial)
     searches = {}
     for folder, config in folders.items():
         if states[folder] != "finished":
-            policies = _fit_initial(config, initial) if states[folder] == "new" else folder.initial(config)[0]
+            is_new = states[folder] == "new"
+            policies = _fit_initial(config, initial.get(folder.path)) if is_new else folder.initial(config)[0]
             searches[folder] = Search(config, policies)
     for search in searches.values():
         check_parts(search.problem)
@@ -120,7 +123,8 @@ def discover_together(
     with contextlib.ExitStack() as locks:
         trainings = []
         for folder, search in searches.items():
-            prepare = functools.partial(_prepare, folder, states[folder], search, folders[folder], initial)
+            begun_with = initial.get(folder.path)
+            prepare = functools.partial(_prepare, folder, states[folder], search, folders[folder], begun_with)
             locks.enter_context(sharding.run_on_first(prepare) or contextlib.nullcontext())
             # From here on every process reads the folder, which process 0 has prepared.
             checkpoint = folder.checkpoint(search)
@@ -167,25 +171,34 @@ class _Training:
 # Before the training: what the folders hold, and what the training begins with
 
 
-def check_initial(configs: Mapping[Path, ExperimentConfig], resume: bool, initial: Run) -> None:
-    """Checks that many runs can begin with the policies of one, and that those that have begun did.
+def check_initial(configs: Mapping[Path, ExperimentConfig], resume: bool, initial: Mapping[Path, Run]) -> None:
+    """Checks that runs can begin with the policies of others, and that those that have begun did.
 
     Args:
         configs: What each is to discover, and how, by the run folder.
         resume: Continue what the folders hold.
-        initial: The run that they begin with.
+        initial: The runs that they begin with, by the same folders.
 
     Raises:
         RunError: They cannot, or did not.
     """
     states = _inspect({RunFolder(path): config for path, config in configs.items()}, resume, initial)
-    for config, state in zip(configs.values(), states.values(), strict=True):
+    for folder, state in states.items():
         if state == "new":
-            _fit_initial(config, initial)
+            _fit_initial(configs[folder.path], initial.get(folder.path))
+
+
+def begin_with(folder: RunFolder, config: ExperimentConfig, initial: Run) -> None:
+    """Writes the policies that a training is to begin with, so that any process can do it without their run.
+
+    Raises:
+        RunError: They do not fit, or cannot be written.
+    """
+    folder.write_initial(_fit_initial(config, initial), _origin(initial))
 
 
 def _inspect(
-    folders: Mapping[RunFolder, ExperimentConfig], resume: bool, initial: Run | None
+    folders: Mapping[RunFolder, ExperimentConfig], resume: bool, initial: Mapping[Path, Run]
 ) -> dict[RunFolder, FolderState]:
     """Returns what the folders hold on process 0, after checking that they are of these experiments."""
 
@@ -197,8 +210,9 @@ def _inspect(
                 folder.check_same(config)
                 origin = folder.manifest().get("initial") if state == "finished" else folder.initial(config)[1]
                 # To resume, the run that the training began with need not be there any more.
-                if initial is not None and origin != _origin(initial):
-                    raise RunError(f"{folder.path} did not begin with the policies of {initial.folder}")
+                given = initial.get(folder.path)
+                if given is not None and origin != _origin(given):
+                    raise RunError(f"{folder.path} did not begin with the policies of {given.folder}")
             states.append(state)
         return states
 
@@ -210,7 +224,7 @@ def _origin(initial: Run | None) -> dict[str, Any] | None:
     """Returns what a run records about the run that its training began with."""
     if initial is None:
         return None
-    sums = {name: value for name, value in initial.manifest["checksums"].items() if name.startswith("policies/")}
+    sums = policy_checksums(initial.manifest)
     return {"experiment": initial.experiment.name, "seed": initial.experiment.seed, "checksums": sums}
 
 
