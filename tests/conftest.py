@@ -47,14 +47,14 @@ STRICT_TYPES = {"geometry"}
 """Folders in which no array may change its type by accident either; optax needs the usual rules."""
 
 FIRST = (
-    "test_docs_blocks.py",
-    "test_sensing_run.py",
-    "test_comparison.py",
-    "test_sizes.py",
     "test_own_parts.py",
     "test_onnx.py",
-    "test_own_strategies.py",
+    "test_docs_blocks.py",
     "test_weights.py",
+    "test_sizes.py",
+    "test_verbs.py",
+    "test_sensing_run.py",
+    "test_many.py",
 )
 """The files that take longest: they begin first, so that no worker is left alone with one of them at the end."""
 
@@ -75,9 +75,28 @@ def numerics(request):
         yield
 
 
+@pytest.fixture(scope="module", autouse=True)
+def small_pictures(request):
+    """Writes figures in few pixels where what they show is not the question."""
+    with contextlib.nullcontext() if request.path.parent.name in {"plots", "report"} else few_pixels():
+        yield
+
+
+@contextlib.contextmanager
+def few_pixels():
+    """Writes figures in few pixels."""
+    from murmurate.plots import style
+
+    png = style.png
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(style, "png", lambda figure, dpi: png(figure, min(dpi, 40)))
+        yield
+
+
 @pytest.fixture(autouse=True)
 def unchecked(request):
-    """Switches the checks of types off for tests whose wrong values the package passes on before it refuses them."""
+    """Checks types anew, but for tests whose wrong values the package passes on before it refuses them."""
+    strict.begin_test()
     if request.node.get_closest_marker("unchecked") is None:
         yield
         return
@@ -136,7 +155,7 @@ def tiny_run(tmp_path_factory):
             if not folder.exists():
                 toml = root / f"{kind}.toml"
                 toml.write_text(config_io.dump_toml(tiny(**KINDS[kind])), encoding="utf-8")
-                with jax.numpy_rank_promotion("allow"), jax.numpy_dtype_promotion("standard"):
+                with few_pixels(), jax.numpy_rank_promotion("allow"), jax.numpy_dtype_promotion("standard"):
                     assert main(["discover", str(toml), "--out", str(folder), "--quiet"]) == 0
         return folder
 

@@ -24,7 +24,7 @@ COMPARE = ["compare", "--methods", "learned", "--robots", "3", "--episodes", "4"
         ),
         (["catalogue", "RUN", "RUN", "--out", "OUT"], ["runs read: 1/2", "runs read: 2/2"]),
         (
-            ["show", "--robots", "4", "--start", "scattered", "--animation", "OUT.webp"],
+            ["show", "--robots", "3", "--start", "scattered", "--animation", "OUT.webp"],
             ["episodes executed: 0/32", "episodes executed: 32/32", "episodes checked: 32/32"],
         ),
         (

@@ -236,12 +236,11 @@ def test_a_start_that_lists_a_field_that_names_no_file_is_refused():
 
 
 def test_a_sweep_trains_it_in_processes_of_their_own(experiment, run, tmp_path):
-    (tmp_path / "sweep.toml").write_text(f'experiments = ["{experiment}"]\nseeds = [0, 1]\n')
+    (tmp_path / "sweep.toml").write_text(f'experiments = ["{experiment}"]\nseeds = [0]\n')
     ended = in_another_process("sweep", tmp_path / "sweep.toml", "--out", tmp_path / "out", "--workers", 1, "--quiet")
     assert ended.returncode == 0, ended.stderr + ended.stdout
-    folders = sorted(path for path in (tmp_path / "out").iterdir() if (path / "manifest.json").exists())
-    assert len(folders) == 2
-    assert weights(run) in [weights(folder) for folder in folders]
+    (folder,) = (path for path in (tmp_path / "out").iterdir() if (path / "manifest.json").exists())
+    assert weights(folder) == weights(run)
 
 
 def test_the_same_from_python(experiment, run, tmp_path):

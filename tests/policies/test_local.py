@@ -186,9 +186,10 @@ def test_velocities_do_not_grow_with_the_swarm():
 
 
 def test_a_network_is_given_walls_and_gaps_that_have_no_effect_yet():
-    build = lambda **inputs: LocalPolicy(hidden=(16, 8), **inputs).networks(  # noqa: E731
-        WorldConfig(robots=6), True, jax.random.key(0)
-    )[0]
+    def build(**inputs):
+        networks = eqx.filter_jit(LocalPolicy(hidden=(16, 8), **inputs).networks)
+        return networks(WorldConfig(robots=6), True, jax.random.key(0))[0]
+
     plain, template = build(), eqx.filter_eval_shape(lambda: build(walls=True, gaps=True))
     wider = plain.with_inputs_of(template)
     assert jax.tree.map(jnp.shape, eqx.filter(wider, eqx.is_array)) == jax.tree.map(
@@ -199,7 +200,7 @@ def test_a_network_is_given_walls_and_gaps_that_have_no_effect_yet():
         np.testing.assert_allclose(act(wider, observation), act(plain, observation), atol=1e-6)
     # They are there to be trained.
     _, observation = observed(configuration() + 36.0, use="visible", walls=True)
-    slope = eqx.filter_grad(lambda p: jnp.sum(p(observation) ** 2))(wider)
+    slope = eqx.filter_jit(eqx.filter_grad(lambda p: jnp.sum(p(observation) ** 2)))(wider)
     for head in (slope.to_gap, slope.to_walls):
         assert np.abs(head.weight).max() > 0
     # What has all of them, or could only have walls before gaps, is left as it is.

@@ -24,6 +24,9 @@ from murmurate.world import HardStart, JitteredStart, SymmetricStart, UniformSta
 
 __all__ = ["Search", "Snapshot", "advance_together"]
 
+FEW_SIZES = 4
+"""Sizes whose compiled programs are kept until the end."""
+
 
 @dataclass(frozen=True)
 class Snapshot:
@@ -141,7 +144,7 @@ class Search:
     def conclude(self, snapshot: Snapshot, policy: Any) -> Snapshot:
         """Appends a trained policy, evaluates from sigma, and decides whether the list is complete."""
         config, index = self.problem.discovery, len(snapshot.policies)
-        if self.problem.sizes:
+        if len(self.problem.sizes) > FEW_SIZES:
             # A process may map only so many pieces of code (65,530 on Linux), and programs for ten sizes are most.
             jax.clear_caches()
         policies = (*snapshot.policies, policy)
