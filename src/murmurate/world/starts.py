@@ -25,7 +25,6 @@ from murmurate.geometry import _batch_last
 from murmurate.registry import Strategy
 from murmurate.world.config import MAX_PAIRS, WorldConfig, check_world, with_array_leaves
 from murmurate.world.start_files import check_configurations, read_named_starts
-from murmurate.world.tiles import in_tiles
 
 __all__ = [
     "DistributedStart",
@@ -372,11 +371,7 @@ def _touch_earlier(positions: Float[Array, "robots 2 batch"], radius: Any) -> An
     """Returns which robots touch one of lower number."""
     robots = positions.shape[0]
     earlier = jnp.tril(jnp.ones((robots, robots), bool), -1)[:, :, None]
-
-    def touch(positions: Float[Array, "robots 2 tile"]) -> Any:
-        return _batch_last.fold(operator.or_, (_batch_last.clearances(positions, radius) <= 0) & earlier, axis=1)
-
-    return in_tiles(touch, robots, positions)
+    return _batch_last.fold(operator.or_, (_batch_last.clearances(positions, radius) <= 0) & earlier, axis=1)
 
 
 @prng.reproducible()
