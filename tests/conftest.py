@@ -23,6 +23,12 @@ if os.environ.get("MURMURATE_TEST_COMPILER") != "full":
     flags = "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
     os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {flags} --xla_cpu_parallel_codegen_split_count=1"
 
+# Tracing programs makes many objects that stay, among which the collector would look for garbage again and again.
+gc.set_threshold(200_000, 20, 50)
+
+# No test cuts the power, after which alone it matters what has reached the disk.
+os.fsync = lambda descriptor: None
+
 import filelock
 import hypothesis
 import jax
@@ -51,10 +57,18 @@ FIRST = (
     "test_onnx.py",
     "test_docs_blocks.py",
     "test_weights.py",
-    "test_sizes.py",
     "test_verbs.py",
     "test_sensing_run.py",
+    "test_own_strategies.py",
+    "test_sizes.py",
+    "test_training.py",
     "test_many.py",
+    "test_comparison.py",
+    "test_visibility_sweep.py",
+    "test_docs_site.py",
+    "test_search.py",
+    "test_hard_starts.py",
+    "test_tiles.py",
 )
 """The files that take longest: they begin first, so that no worker is left alone with one of them at the end."""
 

@@ -73,7 +73,7 @@ def test_any_configuration(positions):
     np.testing.assert_array_equal(fast(positions), direct(positions))
 
 
-@pytest.mark.parametrize("robots", [200, 400])
+@pytest.mark.parametrize("robots", [200, pytest.param(400, marks=pytest.mark.nightly)])
 def test_large_swarms(robots):
     rng = np.random.default_rng(robots)
     side = np.sqrt(8 * np.pi * robots)

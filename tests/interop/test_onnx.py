@@ -30,7 +30,7 @@ with warnings.catch_warnings():
 
 ROBOTS = 5
 STATES = 1000
-CHECKED = 200
+CHECKED = 100
 """Configurations on which models are compared with their runs: the same number everywhere is compiled once."""
 REST = {"max_steps": 15, "window": 3, "switch_tolerance": 0.004, "stillness": 0.1, "dead_zone": 0.02}
 """So that some policies come to rest and others are cut off."""
