@@ -123,7 +123,8 @@ class ClearanceShield(Shield):
     In a step, a robot goes at most a share of d - 2R far, where d is its distance from the nearest robot, and at most
     the same share of its way to each wall that it perceives. Opaque robots perceive their nearest robot: nothing hides
     it but one that is nearer. So this needs no more than a robot's own view; `docs/shield.md` has the proof. It holds
-    for exact distances: under noise and missed detections, robots are careful by what they perceive.
+    for exact distances: under noise and missed detections, robots are careful by what they perceive. To a robot that it
+    approaches, a robot leaves some room.
 
     Attributes:
         share: The share; none: as much as is proved to be safe under the scheduler, see `safe_share`.
@@ -154,17 +155,22 @@ class ClearanceShield(Shield):
         share = safe_share(FsyncScheduler()) if self.share is None else self.share
         if isinstance(observation, Observation):
             view = observation.view
-            scale = world.radius / view.radius
-            distance = jnp.where(view.seen, _length(view.x, view.y) * scale[:, None], jnp.inf)
+            x, y, seen, scale = view.x, view.y, view.seen, (world.radius / view.radius)[:, None]
         else:
             offsets = observation[None] - observation[:, None]
-            itself = jnp.eye(len(observation), dtype=bool).reshape(offsets.shape[:2] + (1,) * (offsets.ndim - 3))
-            distance = jnp.where(itself, jnp.inf, _length(offsets[:, :, 0], offsets[:, :, 1]))
+            x, y, scale = offsets[:, :, 0], offsets[:, :, 1], 1.0
+            seen = ~jnp.eye(len(observation), dtype=bool).reshape(x.shape[:2] + (1,) * (x.ndim - 2))
+        length, speed = _length(x, y), _length(velocities[:, 0], velocities[:, 1])
+        # Who approaches a robot leaves it some room. Otherwise two who approach each other would halve their clearance
+        # until it is as good as none, and none of it lets them go.
+        forward = velocities[:, :1] * x + velocities[:, 1:] * y
+        size = length * speed[:, None]
+        approach = jnp.where(size > 0, jnp.maximum(forward, 0.0) / jnp.where(size > 0, size, 1.0), 0.0)
+        distance = jnp.where(seen, length * scale - ROOM * world.radius * approach, jnp.inf)
         # A robot that perceives nobody knows that nobody is within the scan radius.
         far = jnp.full_like(velocities[:, :1, ...], world.scan_radius)
         nearest = jnp.min(jnp.concatenate([distance, far], axis=1), axis=1)
         limit = share * jnp.maximum(nearest - 2 * world.radius - _rounding(world), 0.0)
-        speed = _length(velocities[:, 0], velocities[:, 1])
         shortened = velocities * jnp.where(speed > limit, limit / jnp.where(speed > limit, speed, 1.0), 1.0)[:, None]
         walls = _walls(observation, world)
         if walls is None:
@@ -177,6 +183,10 @@ class ClearanceShield(Shield):
 
 ROUNDING = 0.98
 """Share of what is proved for exact numbers that is used, so that rounding a velocity does no harm."""
+
+
+ROOM = 0.02
+"""Clearance in robot radii that a robot leaves to one that it approaches."""
 
 
 def safe_share(scheduler: Scheduler) -> float:
