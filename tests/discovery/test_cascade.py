@@ -22,6 +22,7 @@ from murmurate.world import (
     JitteredStart,
     LocalObservation,
     SchedulerWrapper,
+    SlowMoves,
     UniformStart,
     VisibleSensing,
     World,
@@ -251,7 +252,7 @@ def asynchronous():
     """Rolls out robots that circle, each in its own time with noisy sight: the first 1, or 1 and 20 others."""
     world = with_array_leaves(World.create(SIX, UniformStart(), "C2"))
     sensing = VisibleSensing(rotation=True, bearing_noise=0.01)
-    env = DeadZone(LocalObservation(SchedulerWrapper(world, SCHEDULER), sensing, SIX), 0.3)
+    env = DeadZone(LocalObservation(SchedulerWrapper(world, SCHEDULER), sensing, SIX), SlowMoves(0.3))
     rule = RestRule(window=5 * SCHEDULER.period, max_steps=130)
     cascade = Cascade((Baseline.registered()["circle"](SIX, False),), env, rule)
     with pytest.MonkeyPatch.context() as patch:
@@ -339,6 +340,9 @@ def test_the_dice_of_an_episode_depend_on_its_index_alone():
         {"switch_tolerance": float("inf")},
         {"dead_zone": -0.1},
         {"dead_zone": 1.0},
+        {"damping": 1.0},
+        {"damping": -0.1},
+        {"damping": 0.4, "dead_zone": 0.0},
         {"sidestep": 1.5},
         {"sidestep": 0.05},
         {"sidestep": 0.5, "dead_zone": 0.0},

@@ -19,7 +19,7 @@ from murmurate.geometry import visible
 from murmurate.policies import ClearanceShield
 from murmurate.runs import presets
 from murmurate.runs.run import Run
-from murmurate.world import apply_dead_zone
+from murmurate.world import SlowMoves, apply_dead_zone
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")  # of what the converter imports
@@ -76,7 +76,7 @@ LEAST_SPEED = REST["dead_zone"]  # the speed limit is 1
 
 @eqx.filter_jit
 def act(policy, positions):
-    return apply_dead_zone(policy(positions), positions, LEAST_SPEED)
+    return apply_dead_zone(policy(positions), positions, SlowMoves(LEAST_SPEED))
 
 
 @pytest.mark.parametrize("robots", [1, 2, ROBOTS, 11])
@@ -134,10 +134,10 @@ def test_a_central_cascade_has_a_dynamic_batch_and_its_own_number_of_robots():
 
 
 @eqx.filter_jit
-def velocities_in_world(env, policy, positions, dead_zone, shield):
+def velocities_in_world(env, policy, positions, slow, shield):
     state = env.state(positions, 0)
     observation = env.observe(state)
-    wanted = apply_dead_zone(policy(observation), observation, *dead_zone)
+    wanted = apply_dead_zone(policy(observation), observation, slow, env.config)
     observed = state if hasattr(state, "frames") else state.inner  # within the state of the shield
     return observed.frames, shield(wanted, observation, env.config)
 
@@ -146,7 +146,7 @@ def velocities_in_world(env, policy, positions, dead_zone, shield):
 def local(objective, walls):
     run = untrained("local", policies=1, objective=objective, factor=10, walls=walls)
     if walls:
-        rest = replace(run.experiment.rest, dead_zone=0.3, sidestep=0.5)
+        rest = replace(run.experiment.rest, dead_zone=0.3, damping=0.4, sidestep=0.5)
         run = run.under(replace(run.experiment, rest=rest, shield=ClearanceShield()))
     return run, onnx.export(run)
 
@@ -157,9 +157,9 @@ def test_a_robot_with_its_own_eyes_moves_by_its_model_as_in_the_world(objective,
     assert model.difference(run, CHECKED) < onnx.TOLERANCE
     starts = run.starts(40, 1)
     env = run.cascade.env
-    dead_zone = (run.experiment.least_speed, run.experiment.sidestep)
+    slow = run.experiment.slow_moves
     policy, shield = run.cascade.policies[0], run.experiment.prepared_shield
-    frames, expected = velocities_in_world(env, policy, np.moveaxis(starts, 0, -1), dead_zone, shield)
+    frames, expected = velocities_in_world(env, policy, np.moveaxis(starts, 0, -1), slow, shield)
     expected = np.moveaxis(expected, -1, 0)
     aside = np.linalg.norm(expected, axis=-1) == 0.5
     assert aside.any() == walls

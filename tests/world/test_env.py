@@ -21,6 +21,7 @@ from murmurate.world import (
     MotionCost,
     ScatteredStart,
     SchedulerWrapper,
+    SlowMoves,
     Transition,
     VisibleSensing,
     World,
@@ -231,7 +232,7 @@ wrapped_step = jax.jit(lambda env, state, velocities: env.step(state, velocities
 
 def test_a_robot_stands_still_by_its_own_wish_alone(world):
     """A robot that wants less than the dead zone stays exactly where it is; the others do what they want."""
-    env = DeadZone(world, jnp.asarray(0.3))
+    env = DeadZone(world, SlowMoves(jnp.asarray(0.3)))
     assert (env.unwrapped, env.period, env.keeps_rest) == (world, 1, True)
     wishes = np.array([[0.2, 0.2], [0.21, -0.22], [-0.3, 0.0], [0.0, -0.29999]])
     after, _ = wrapped_step(env, begin(world, SQUARE), jnp.asarray(wishes, jnp.float32))
@@ -244,16 +245,44 @@ def test_a_robot_stands_still_by_its_own_wish_alone(world):
 
 def test_a_dead_zone_of_nothing_stops_nobody():
     wishes = np.random.default_rng(0).normal(size=(4, 2, 3)).astype(np.float32)
-    np.testing.assert_array_equal(apply_dead_zone(wishes, None, 0.0), wishes)
+    np.testing.assert_array_equal(apply_dead_zone(wishes, None, SlowMoves(0.0)), wishes)
     slow = np.linalg.norm(wishes, axis=1, keepdims=True) < 0.8
-    np.testing.assert_array_equal(apply_dead_zone(wishes, None, 0.8), np.where(slow, 0, wishes))
+    np.testing.assert_array_equal(apply_dead_zone(wishes, None, SlowMoves(0.8)), np.where(slow, 0, wishes))
+
+
+def test_slow_moves_are_damped_the_more_the_slower_they_are():
+    lengths = np.array([0.0, 0.1, 0.19, 0.2, 0.4, 0.5, 0.8])
+    wishes = lengths[:, None] * np.array([[0.6, -0.8]])
+    kept = np.array([0, 0, 0, 1 - 0.4 * 0.6, 1 - 0.4 * 0.2, 1, 1])
+    slow = SlowMoves(0.195, damped_speed=0.5, damping=0.4)
+    decided = apply_dead_zone(jnp.asarray(wishes, jnp.float32), None, slow)
+    np.testing.assert_allclose(decided, wishes * kept[:, None], atol=1e-6)
+
+
+def test_robots_nearer_than_the_safe_distance_step_apart_instead_of_standing_still(world):
+    """By half of what is missing, at least as far as a move has to be; from several, mostly from the nearest."""
+    safe = CONFIG.safe_distance
+    pairs = np.array([[-9.0, 8.0], [-9.0 + safe - 1.0, 8.0], [9.0, -8.0], [9.0, -8.0 + safe - 0.01]])
+    sensing = VisibleSensing(rotation=True, reflection=True, unit_ratio=2.0)
+    env = DeadZone(LocalObservation(world, sensing, CONFIG), SlowMoves(jnp.asarray(0.1), sidestep=0.9), CONFIG)
+
+    def moved(positions):
+        state = env.state(jnp.asarray(positions, jnp.float32), 7)
+        return np.asarray(wrapped_step(env, state, jnp.zeros((4, 2)))[0].positions) - positions
+
+    expected = np.array([[-0.51, 0], [0.51, 0], [0, -0.1], [0, 0.1]])
+    np.testing.assert_allclose(moved(pairs), expected, atol=1e-5)
+    np.testing.assert_allclose(moved(np.array([[-9.0, 0.0], [-9.0 + safe, 0], [9.0, 0], [9.0, 6.0]])), 0, atol=1e-6)
+    corner = np.array([[0.0, 0.0], [safe - 2.0, 0.0], [0.0, safe - 1.0], [14.0, 14.0]])
+    away = moved(corner)[0]
+    np.testing.assert_allclose(away, -0.9 * np.array([2, 1]) / np.sqrt(5), atol=1e-5)
 
 
 def test_a_robot_between_two_that_it_sees_steps_aside_instead_of_standing_still(world):
     """In line, the second and the third robot see both of their neighbours, which are hidden from each other."""
     sensing = VisibleSensing(rotation=True)
     line = np.array([[-9.0, 3.0], [-3.0, 3.0], [3.0, 3.0], [9.0, 3.0]])
-    env = DeadZone(LocalObservation(world, sensing, CONFIG), jnp.asarray(0.3), 0.5)
+    env = DeadZone(LocalObservation(world, sensing, CONFIG), SlowMoves(jnp.asarray(0.3), sidestep=0.5), CONFIG)
     state = env.state(jnp.asarray(line, jnp.float32), 7)
     first_axes = np.stack([state.frames.cos, state.frames.sin], axis=1)
     assert len(np.unique(first_axes, axis=0)) == 4
@@ -307,7 +336,7 @@ def test_what_is_known_of_robots_at_rest(world):
         (GlobalSensing(rotation=True, resample_frames=True), False),
         (subclass(), False),
     ]:
-        env = DeadZone(LocalObservation(SchedulerWrapper(world, AsyncScheduler()), sensing, CONFIG), 0.1)
+        env = DeadZone(LocalObservation(SchedulerWrapper(world, AsyncScheduler()), sensing, CONFIG), SlowMoves(0.1))
         assert (env.keeps_rest, env.period) == (keeps, AsyncScheduler().period), sensing
     foreign = type("Later", (AsyncScheduler,), {})
     assert not SchedulerWrapper(world, foreign()).keeps_rest

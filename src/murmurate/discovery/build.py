@@ -73,7 +73,7 @@ def build_environment(problem: Problem, world: World, perceived: WorldConfig | N
     if not problem.shield.is_trivial:
         env = ShieldWrapper(env, with_array_leaves(problem.prepared_shield), perceived)
     if problem.rest.dead_zone:
-        env = DeadZone(env, jnp.asarray(problem.least_speed, jnp.float32), problem.sidestep)
+        env = DeadZone(env, with_array_leaves(problem.slow_moves), perceived)
     return env
 
 

@@ -18,6 +18,7 @@ from murmurate.world import (
     Scheduler,
     Sensing,
     Signal,
+    SlowMoves,
     Start,
     WorldConfig,
     episodes_at_once,
@@ -32,6 +33,9 @@ ProblemT = TypeVar("ProblemT", bound="Problem")
 GATHERING = "gathering"
 GATHERING_SIGNALS = ("close", "nclose")
 """In weights, `gathering` stands for the gathering signal of either objective: close (C1) or nclose (C2)."""
+
+DAMPED = 0.5
+"""Share of the speed limit from which on no move is damped."""
 
 
 @dataclass(frozen=True)
@@ -279,14 +283,10 @@ class Problem:
         return batches * self.scheduler.period * (steps + policies * self.rest.window)
 
     @property
-    def least_speed(self) -> float:
-        """The speed below which a robot stands still, world units per step."""
-        return self.rest.dead_zone * self.world.max_speed
-
-    @property
-    def sidestep(self) -> float:
-        """Speed of a robot that would stand still between others, world units per step; 0: it stands still."""
-        return self.rest.sidestep * self.world.max_speed
+    def slow_moves(self) -> SlowMoves:
+        """What becomes of slow moves, in world units."""
+        rest, speed = self.rest, self.world.max_speed
+        return SlowMoves(rest.dead_zone * speed, DAMPED * speed, rest.damping, rest.sidestep * speed)
 
     @property
     def rest_in_steps(self) -> RestRule:

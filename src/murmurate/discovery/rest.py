@@ -27,8 +27,11 @@ class RestRule:
             with the signals' own weights: it need not settle what the next one moves again.
         dead_zone: A robot that wants to move slower than this share of the speed limit stands still, in training as in
             execution.
+        damping: Share that the shortest moves lose, so that robots do not overshoot; none from half of the speed limit
+            on.
         sidestep: Share of the speed limit at which a robot that would stand still between two others that it sees,
-            occluding one from the other, moves along the first axis of its own frame instead; 0: it stands still.
+            occluding one from the other, moves along the first axis of its own frame instead; 0: it stands still. With
+            it, a robot that would stand still nearer to another one than the safe distance moves away, too.
         max_steps: Steps after which a policy that does not come to rest is cut off.
     """
 
@@ -36,6 +39,7 @@ class RestRule:
     stillness: float = 1e-3
     switch_tolerance: float = 1.5e-3
     dead_zone: float = 0.1
+    damping: float = 0.0
     sidestep: float = 0.0
     max_steps: int = 300
 
@@ -48,6 +52,9 @@ class RestRule:
         if not 0 <= self.dead_zone < 1:
             allowed = "a number >= 0 and less than 1: at 1 no robot would ever move along an axis"
             raise InputError("dead_zone", self.dead_zone, allowed)
+        check_number("damping", self.damping, 0, 1)
+        if self.damping and (self.damping == 1 or not self.dead_zone):
+            raise InputError("damping", self.damping, "less than 1, and 0 where dead_zone is 0: nobody would stop")
         check_number("sidestep", self.sidestep, 0, 1)
         if self.sidestep and not 0 < self.dead_zone <= self.sidestep:
             allowed = f"0, or at least dead_zone ({self.dead_zone:g}), which must not be 0: no robot would stand still"

@@ -105,7 +105,7 @@ class ExperimentConfig(Problem):
         is as wide, robots that want to do just that stand still.
         """
         world, room = self.world, self.world.safe_distance - 2 * self.world.radius
-        if self.least_speed >= room:
+        if self.slow_moves.least_speed >= room:
             allowed = f"less than {room / world.max_speed:.4g}: a robot could not correct its way to the safe distance"
             raise InputError("rest.dead_zone", self.rest.dead_zone, allowed)
         if self.rest.sidestep and not self.policy.perceives:

@@ -36,6 +36,7 @@ __all__ = [
     "ScheduledState",
     "SchedulerWrapper",
     "ShortfallReward",
+    "SlowMoves",
     "State",
     "World",
     "WrappedState",
@@ -350,47 +351,94 @@ class ShortfallReward(Wrapper):
         return after, Transition(reward, transition.terminated, transition.truncated, signals, reward[None])
 
 
+class SlowMoves(eqx.Module):
+    """What becomes of moves that are slow, as robots have to come to a stop.
+
+    Attributes:
+        least_speed: Moves that are slower than this are not begun, world units per step.
+        damped_speed: Moves that are slower than this are shortened, world units per step.
+        damping: Share that the shortest moves lose; 0: none is shortened.
+        sidestep: Speed of a robot that would stand still in a pattern that it sees is not valid, world units per step;
+            0: it stands still.
+    """
+
+    least_speed: Any
+    damped_speed: Any = 0.0
+    damping: float = eqx.field(default=0.0, static=True)
+    sidestep: float = eqx.field(default=0.0, static=True)
+
+    __repr__ = short_repr
+
+
 class DeadZone(Wrapper):
     """Robots whose policy wants a slow move stand still, or step aside: see `apply_dead_zone`.
 
     Attributes:
-        least_speed: Moves that are slower than this are not begun, world units per step.
-        sidestep: Speed of a robot that would stand still between others, world units per step.
+        slow: What becomes of slow moves.
+        world: The sizes by which robots perceive: in training with a margin, those of the world as it is. Only needed
+            with a sidestep.
     """
 
-    least_speed: Any
-    sidestep: float = eqx.field(default=0.0, static=True)
+    slow: SlowMoves
+    world: WorldConfig | None = None
 
     def step(self, state: Any, action: Float[Array, "robots 2 *batch"]) -> tuple[Any, Any]:
         """Stops the slow robots and advances every episode by one step."""
-        observation = self.env.observe(state) if self.sidestep else None
-        return self.env.step(state, apply_dead_zone(action, observation, self.least_speed, self.sidestep))
+        observation = self.env.observe(state) if self.slow.sidestep else None
+        return self.env.step(state, apply_dead_zone(action, observation, self.slow, self.world))
 
 
 def apply_dead_zone(
-    velocities: Float[Array, "robots 2 *batch"], observation: Any, least_speed: Any, sidestep: float = 0.0
+    velocities: Float[Array, "robots 2 *batch"], observation: Any, slow: SlowMoves, world: WorldConfig | None = None
 ) -> Float[Array, "robots 2 *batch"]:
-    """Returns velocities of which those whose length is less than `least_speed` are exactly 0.
+    """Returns velocities of which those whose length is less than `slow.least_speed` are exactly 0.
 
-    That is how a swarm comes to rest. With `sidestep`, a robot that occludes one robot that it sees from another one
-    does not stand still: it moves along the first axis of its own frame. Where a configuration is symmetric, so is what
-    any policy makes of it, and the robot in its centre could never leave: robots' frames break the symmetry.
+    That is how a swarm comes to rest. With `damping`, the others lose the more of their length the nearer it is to 0,
+    up to `damped_speed`: robots that correct the same error at the same moment would else correct too much, and for
+    ever.
+
+    With `sidestep`, a robot that sees that the pattern is not valid does not stand still. If it occludes one robot that
+    it sees from another one, it moves along the first axis of its own frame. Where a configuration is symmetric, so is
+    what any policy makes of it, and the robot in its centre could never leave: robots' frames break the symmetry. Else,
+    if robots are nearer than the safe distance, it moves away from them, by half of what is missing, as they do too.
 
     Args:
         velocities: What a policy wants, world units per step, in each robot's own frame.
         observation: What the robots see; only used with `sidestep`.
-        least_speed: Speed below which a move is not begun, world units per step.
-        sidestep: Speed of a robot that steps aside, world units per step; 0 where robots never do.
+        slow: What becomes of slow moves.
+        world: The sizes by which robots perceive; only used with `sidestep`.
     """
-    is_slow = jnp.sum(velocities**2, axis=1, keepdims=True) < least_speed**2
-    decided = jnp.where(is_slow, 0.0, velocities)
-    if sidestep:
+    squared = jnp.sum(velocities**2, axis=1, keepdims=True)
+    is_slow = squared < slow.least_speed**2
+    decided = velocities
+    if slow.damping:
+        speed = jnp.sqrt(jnp.where(squared > 0, squared, 1.0))
+        decided = velocities * (1 - slow.damping * jnp.maximum(1 - speed / slow.damped_speed, 0.0))
+    decided = jnp.where(is_slow, 0.0, decided)
+    if slow.sidestep:
         view = observation.view
         is_between = _batch_last.stands_between(view.x, view.y, view.seen, view.radius)[:, None]
-        aside = jnp.stack([jnp.full_like(view.radius, sidestep), jnp.zeros_like(view.radius)], axis=1)
-        decided = jnp.where(is_slow & is_between, aside, decided)
+        aside = jnp.stack([jnp.full_like(view.radius, slow.sidestep), jnp.zeros_like(view.radius)], axis=1)
+        decided = jnp.where(is_slow, jnp.where(is_between, aside, _step_apart(view, slow, world)), decided)
     # Gradients pass as if nothing were changed: a robot that stands still would never learn to set out.
     return velocities - jax.lax.stop_gradient(velocities - decided)
+
+
+def _step_apart(view: View, slow: SlowMoves, world: WorldConfig) -> Float[Array, "robots 2 *batch"]:
+    """Returns velocities away from the robots that are nearer than the safe distance; 0 where none is."""
+    length = jnp.sqrt(view.x**2 + view.y**2)
+    # A robot at one's own place is in no direction.
+    missing = world.safe_distance - length * (world.radius / view.radius)[:, None]
+    missing = jnp.where(view.seen & (length > 0), jnp.maximum(missing, 0.0), 0.0)
+    weight = missing / jnp.where(length > 0, length, 1.0)
+    away = -jnp.stack([jnp.sum(weight * axis, axis=1) for axis in (view.x, view.y)], axis=1)
+    size = jnp.sqrt(jnp.sum(away**2, axis=1, keepdims=True))
+    # There may be nobody, of whom there is no maximum. A little more than half, because what is rounded down would be
+    # missing again.
+    nobody = jnp.zeros_like(view.radius[:, None])
+    most = jnp.max(jnp.concatenate([missing, nobody], axis=1), axis=1, keepdims=True)
+    speed = jnp.clip(0.51 * most, slow.least_speed, slow.sidestep)
+    return jnp.where(size > 0, speed * away / jnp.where(size > 0, size, 1.0), 0.0)
 
 
 class MotionCost(Wrapper):

@@ -229,9 +229,9 @@ def _samples(
 def _velocities(run: Run, index: int, positions: np.ndarray) -> np.ndarray:
     """Returns what a policy that acts on all positions does in the run's world."""
     policy, shield, world = run.cascade.policies[index], run.experiment.prepared_shield, run.experiment.world
-    least_speed = run.experiment.least_speed  # nobody steps aside: robots that act on all positions have no view
+    slow = run.experiment.slow_moves
     seen = jnp.moveaxis(jnp.asarray(positions), 0, -1)
-    velocities = jax.jit(lambda seen: shield(apply_dead_zone(policy(seen), seen, least_speed), seen, world))(seen)
+    velocities = jax.jit(lambda seen: shield(apply_dead_zone(policy(seen), seen, slow), seen, world))(seen)
     return np.moveaxis(np.asarray(velocities), -1, 0).clip(-world.max_speed, world.max_speed)
 
 
@@ -248,7 +248,7 @@ def _views_and_velocities(
         frames = sensing.draw_frames(keys, world.robots)
         view = sensing.view(positions, frames, keys, world)
         observation = Observation(view, positions, jnp.zeros_like(positions[:, 0]))
-        wanted = apply_dead_zone(policy(observation), observation, experiment.least_speed, experiment.sidestep)
+        wanted = apply_dead_zone(policy(observation), observation, experiment.slow_moves, world)
         return view, experiment.prepared_shield(wanted, observation, world)
 
     positions = np.moveaxis(_positions(run, world.robots, count, rng), 0, -1).astype(np.float32)

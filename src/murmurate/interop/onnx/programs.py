@@ -184,7 +184,7 @@ def _view_program(run: Run, index: int, foreign: Mapping[str, Strategy]) -> Prog
         # NaN in place of what a robot cannot know: a policy that uses it is found out by its velocity.
         unknown = jnp.full((1, 2, *ones.shape[1:]), jnp.nan, x.dtype)
         observation = Observation(view, unknown, unknown[:, 0])
-        wanted = apply_dead_zone(policy(observation), observation, experiment.least_speed, experiment.sidestep)
+        wanted = apply_dead_zone(policy(observation), observation, experiment.slow_moves, world)
         velocity = experiment.prepared_shield(wanted, observation, world)
         return (jnp.transpose(velocity[0]),)
 
@@ -234,7 +234,7 @@ def _shielded(
     run: Run, policy: Any, positions: Float[Array, "robots 2 batch"], world: WorldConfig
 ) -> Float[Array, "robots 2 batch"]:
     """Returns the velocities of a policy as they are executed: after dead zone and shield, within the speed limit."""
-    wanted = apply_dead_zone(policy(positions), positions, run.experiment.least_speed)
+    wanted = apply_dead_zone(policy(positions), positions, run.experiment.slow_moves)
     velocities = run.experiment.prepared_shield(wanted, positions, world)
     return jnp.clip(velocities, -world.max_speed, world.max_speed)
 
