@@ -239,7 +239,7 @@ def _observe(env: Wrapper, state: Any) -> Float[Array, "robots rows 3 batch"]:
     rows = jnp.take_along_axis(jnp.stack([view.x, view.y, seen], axis=2), order[:, :, None], axis=1)
     ones, zeros = jnp.ones_like(view.radius), jnp.zeros_like(view.radius)
     extra = []
-    if "close" in env.unwrapped.objective.names and sensing.landmark:
+    if env.unwrapped.objective.needs_landmark and sensing.landmark:
         extra.append(jnp.stack([view.landmark_x, view.landmark_y, ones], axis=1))
     if view.walls is not None:
         extra += [jnp.stack([*jnp.unstack(wall, axis=1), ones], axis=1) for wall in jnp.unstack(view.walls, axis=1)]
