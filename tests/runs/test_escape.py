@@ -39,6 +39,7 @@ def test_a_page_shows_it_and_does_nothing():
     assert html.count("&lt;script&gt;alert(1)&lt;/script&gt;") == 3
     assert html.count("<td") == 2
     assert "<em>b</em>" not in html
+    assert code("a\x1b]0;title\x07") == "`a\\x1b]0;title\\x07`"
     inside = code("x`\n\n# heading\n\n![picture](http://x/y.png)")
     broken_out = to_html(f"# title\n\n- {inside}\n", {})
     assert "<img" not in broken_out

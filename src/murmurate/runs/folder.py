@@ -34,7 +34,7 @@ import numpy as np
 
 from murmurate import untrusted
 from murmurate.discovery import STATIONARY_STEPS, Search, Snapshot, policy_name, policy_templates
-from murmurate.errors import MAX_INTEGER, RunError, check_path, check_type, shown
+from murmurate.errors import MAX_INTEGER, RunError, check_path, check_type, one_line, shown
 from murmurate.representation import short_repr
 from murmurate.runs import experiment as configuration
 from murmurate.runs import files
@@ -71,6 +71,9 @@ POLICIES = "policies"
 FIGURES = "figures"
 SNAPSHOT, INITIAL = "snapshot.safetensors", "initial.safetensors"
 LOCK = ".training.lock"
+
+MAX_NAME = 60
+"""Characters of the name of starts that are shown, at most."""
 
 TAIL_BYTES = 1 << 14
 """Bytes at the end of metrics.jsonl that `last_metrics` reads."""
@@ -820,9 +823,9 @@ def describe_starts(summary: Mapping[str, Any]) -> str:
             by the seed), drawn (of the start `name`), set or file (with its `name`) or given (in Python).
     """
     starts = summary["starts"]
-    if starts["kind"] in ("set", "file"):
-        return f"starts of {starts['name']}"
-    return f"{starts.get('name', starts['kind'])} starts"
+    # A stranger may have named them: pictures and pages show this.
+    name = one_line(starts.get("name", starts["kind"]), MAX_NAME)
+    return f"starts of {name}" if starts["kind"] in ("set", "file") else f"{name} starts"
 
 
 def _policy_files(count: int) -> list[str]:
