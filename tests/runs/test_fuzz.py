@@ -131,7 +131,7 @@ def readers(finished, tmp_path):
         "board": (board / "metrics.jsonl", mutated_text, lambda: jobs.TrainingJob(board, tiny()).progress(), 4),
         "evaluation": (run.path / "evaluation.json", mutated_text, lambda: evaluated(run), 4),
         "table": (run.path / "evaluation.json", mutated_text, lambda: table.results([run.path]), 2),
-        "npz": (run.path / "trajectories.npz", mutated, run.trajectories, 4),
+        "npz": (run.path / "trajectories.npz", mutated, lambda: run.trajectories(tiny()), 4),
         "manifest": (
             whole.path / "manifest.json",
             mutated_text,
