@@ -125,6 +125,7 @@ class _Pictures(dict):
         ({"start": []}, r"row 1 has start = \[\]"),
         ({"method": None}, "row 1 has method = None"),
         ({"steps": "x"}, "row 1 has steps = 'x'"),
+        ({"steps": 10**399}, "row 1 has steps = 1000"),  # no float holds it
         ({"worst": [{"positions": [[0, 0]], "free": True}]}, "row 1 has worst = "),
         ({"worst": [{"positions": [[0, 0], [0, 1], [1e300, 0]], "free": True}]}, "row 1 has worst = "),
     ],
