@@ -40,9 +40,9 @@ class GatheringParallelEnv(ParallelEnv[str, Rows, Velocity]):
 
     An observation is what the robot perceives, in its own frame, centred on itself, in its own unit of length. Its rows
     are `x, y, 1` for each robot it perceives, the nearest first, and zeros for the rest: `(robots - 1, 3)`. One
-    more row `x, y, 1` follows for the gathering point where there is one and a landmark shows it (C1), four for the
-    nearest points of the walls where they are perceived (`sensing.walls`), opposite walls two rows apart, and one more,
-    `radius, 0, 1`, where units differ (`sensing.unit_ratio`), by which a robot tells how long its unit is.
+    more row `x, y, 1` follows for the gathering point where a signal needs it (C1) and a landmark shows it, four for
+    the nearest points of the walls where they are perceived (`sensing.walls`), opposite walls two rows apart, and one
+    more, `radius, 0, 1`, where units differ (`sensing.unit_ratio`), by which a robot tells how long its unit is.
 
     An action is the robot's own velocity in its own frame. In the world's, each component is limited once more.
 
