@@ -21,7 +21,7 @@ from murmurate.runs.execute import LocalProcesses, run_jobs
 from murmurate.runs.folder import RunFolder
 from murmurate.runs.grid import Grid
 from murmurate.runs.jobs import training_jobs
-from murmurate.runs.pretrained import FOLDER
+from murmurate.runs.pretrained import CARD, FOLDER
 from murmurate.runs.run import Run
 
 RECIPES = Path(__file__).parent / "recipes"
@@ -51,13 +51,14 @@ def train(recipes: Mapping[str, Path], runs: Path, initial: Mapping[str, Path]) 
 
 
 def pack(run: RunFolder, to: Path) -> None:
-    """Puts what the package needs of a run in place of the weights in a folder.
+    """Puts what the package needs of a run in place of the weights in a folder, whose card stays.
 
     That is not its evaluation, and not the kernel of the machine that trained it.
     """
     system = f"{platform.system()} {platform.machine()}"
     with tempfile.TemporaryDirectory(dir=to.parent) as folder:
         copy = run.copy_to(Path(folder) / to.name, metrics_every=EVERY, changes={"platform": system})
+        shutil.copyfile(to / CARD, copy.path / CARD)
         shutil.rmtree(to)
         copy.path.rename(to)
 

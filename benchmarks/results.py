@@ -127,8 +127,8 @@ Versions: {machine}.
 Every row is one training with the settings of `murmurate discover` for that experiment and policy, evaluated on 200
 fresh starts with the paper's noise $U(-2R, 2R)$; none of them was seen in training. The `equivariant` policy has one
 set of defaults, which C is trained with as they are; A, B, D, E and F have some numbers of their own (weights of the
-auxiliary policies in A, B, E and F, the rule of rest in A and D, the least number of policies in A). They are
-`EXPERIMENT_OVERRIDES` in `runs/presets.py`. The `central` policy has the same numbers in all six.
+auxiliary policies in A, B, E and F, the rule of rest in A, the least number of policies in A, the cost of motion in D).
+They are `EXPERIMENT_OVERRIDES` in `runs/presets.py`. The `central` policy has the same numbers in all six.
 
 - *Valid*, of 200: no contact at any moment, nobody outside, at rest, all robots neighbours, all pairs mutually visible,
   no pair nearer than the safe distance, and all of that for 200 more steps with nothing frozen.

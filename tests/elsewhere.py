@@ -58,7 +58,7 @@ def main(run: str, out: str) -> None:
     folder = RunFolder(run)
     assert folder.inspect(resume=True) == "finished"
     manifest, config = folder.verify(), folder.experiment()
-    assert folder.trajectories().positions.shape[2] == config.world.robots == 3
+    assert folder.trajectories(config).positions.shape[2] == config.world.robots == 3
     assert folder.metrics()
     assert folder.evaluation()["episodes"] == 200
     copy = folder.copy_to(out)

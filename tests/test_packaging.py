@@ -92,6 +92,35 @@ for name in "$@"; do grep -qw "$name" "$folder/packages" || exit 1; done
 """
 
 
+def test_each_set_of_weights_has_a_card_in_the_wheel():
+    """The card says what the weights are; the page that it names, in the sources, where they were measured."""
+    package = ROOT / "src" / "murmurate"
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]
+    packed = {path for pattern in settings["package-data"]["murmurate"] for path in package.glob(pattern)}
+    folders = [path.parent for path in (package / "pretrained").rglob("manifest.json")]
+    assert len(folders) == 4
+    for folder in folders:
+        card = folder / "README.md"
+        assert card in packed
+        text = card.read_text(encoding="utf-8")
+        assert text.startswith(f"# Weights: {folder.parent.name}, {folder.name} sensing\n")
+        for part in ("**Trained:**", "**Measured:**", f'murmurate.pretrained("{folder.parent.name}", "{folder.name}")'):
+            assert part in " ".join(text.split())
+        (link,) = re.findall(r"\]\((.*?)\)", text)
+        assert (folder / link).resolve() == ROOT / "docs" / "models.md"
+        assert (ROOT / re.findall(r"`(benchmarks/.*?)`", text)[0]).is_file()
+
+
+def test_the_project_says_what_it_is():
+    status, *_ = [entry for entry in project()["classifiers"] if entry.startswith("Development Status :: ")]
+    assert re.fullmatch(r"Development Status :: [3-6] - (Alpha|Beta|Production/Stable|Mature)", status)
+    assert "Operating System :: OS Independent" in project()["classifiers"]
+    assert project()["urls"]
+    assert all(url.startswith("https://") for url in project()["urls"].values())
+    assert (ROOT / project()["readme"]).is_file()
+    assert "docs/contributing.md" in (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+
+
 @pytest.mark.parametrize("constraints", CONSTRAINTS)
 def test_constraints_are_versions_only(constraints):
     lines = (ROOT / constraints).read_text(encoding="utf-8").splitlines()

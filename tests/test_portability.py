@@ -44,6 +44,16 @@ def test_another_system_reads_runs_and_shows_help(tiny_run, tmp_path):
     assert "Traceback" not in ended.stderr.decode("cp1252")
 
 
+FORKS = re.compile(r"os\.fork\(|get_context\((?!\"spawn\")|set_start_method|multiprocessing\.(Process|Pool)\(")
+
+
+def test_no_process_is_forked():
+    """Windows has no fork, and JAX that has been started does not survive one: processes begin as new programs."""
+    paths = list((ROOT / "src").rglob("*.py"))
+    assert paths
+    assert [path.name for path in paths if FORKS.search(path.read_text(encoding="utf-8"))] == []
+
+
 # Files
 
 

@@ -37,8 +37,31 @@ def test_the_paper_is_named_and_linked_in_the_first_paragraph() -> None:
     assert "(https://arxiv.org/abs/2209.09865)" in paragraph
 
 
+def test_numbers_are_ranges_over_the_seeds_of_the_results() -> None:
+    """A seed's digits do not come back on another machine: what is published is how far the seeds differ."""
+    results = table((README.parent / "docs" / "results.md").read_text(encoding="utf-8"), "seed")
+    rows = table(README.read_text(encoding="utf-8"), "robots")
+    assert [row[""] for row in rows] == [*"ABCDEF"]
+    columns = {"valid of 200": "valid", "steps": "total steps", "bound": "bound", "gap": "gap"}
+    for row in rows:
+        seeds = [result for result in results if result[""] == row[""]]
+        assert [result["seed"] for result in seeds] == ["0", "1", "2"]
+        for name, column in columns.items():
+            least, *_, most = sorted((result[column].removesuffix("%") for result in seeds), key=float)
+            expected = least if least == most else f"{least}-{most}"
+            assert row[name].removesuffix("%") == expected, f"{row['']}: {name}"
+        assert {result["paper's total"] for result in seeds} == {row["paper's steps"]}
+
+
+def table(text: str, column: str) -> list[dict[str, str]]:
+    """Returns the rows of the first table of a page whose second column has a name."""
+    lines = text[text.index(f"|  | {column} |") :].partition("\n\n")[0].splitlines()
+    header, _, *rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
+    return [dict(zip(header, row, strict=True)) for row in rows]
+
+
 def test_every_linked_file_exists() -> None:
-    pages = [README, *sorted((README.parent / "docs").glob("*.md"))]
+    pages = [README, README.parent / "CONTRIBUTING.md", *sorted((README.parent / "docs").glob("*.md"))]
     for page in pages:
         for target in re.findall(r"\]\(([^)#]+)\)", page.read_text(encoding="utf-8")):
             assert target.startswith("https://") or (page.parent / target).exists(), f"{page.name}: {target}"

@@ -133,7 +133,7 @@ def test_folders_that_are_no_runs(tmp_path, discovered, capsys):
 def test_no_valid_pattern_is_said(discovered, tmp_path, capsys):
     nothing = shutil.copytree(discovered, tmp_path / "nothing")
     arrays = files.read_npz(nothing / "trajectories.npz")
-    arrays["positions"][:, -1, 0] = 30.0  # outside the world
+    arrays["positions"][:, 1:, 0] = 30.0  # outside the world
     RunFolder(nothing).write_evaluation(RunFolder(nothing).evaluation(), arrays)
     refused(capsys, [nothing, "--out", tmp_path / "x"], "no valid pattern was found in")
 

@@ -48,6 +48,8 @@ def test_no_name_reaches_the_terminal_raw(nasty, tmp_path, capsys, words):
     # A line break in a name begins no line of its own, which could say anything.
     assert not any(line.startswith("valid") and "title" not in line for line in out.splitlines() if "|" not in line)
     assert "x1b]0;title" in out or r"x1b\]0;title" in out  # in Markdown, as `table` prints it
+    if words[0] == "export":  # what is named after the run
+        assert (tmp_path / f"{ESCAPED}.csv").is_file()
 
 
 def test_lines_are_printed_as_they_are_but_for_what_a_terminal_acts_on(capsys):

@@ -248,7 +248,7 @@ def test_fewer_valid_patterns_than_required_have_a_status_of_their_own(copy_of_t
         (199, 0, "animation: "),
     ):
         arrays["positions"] = formed.copy()
-        arrays["positions"][count:, -1, 0] = 30.0  # outside the world
+        arrays["positions"][count:, 1:, 0] = 30.0  # outside the world
         run.write_evaluation(summary, arrays)
         assert main(command) == status
         assert line in capsys.readouterr().out

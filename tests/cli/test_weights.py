@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import shutil
 import warnings
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from benchmarks.pretrained import pack
 
 import murmurate
 from murmurate.cli.main import main
@@ -37,6 +39,20 @@ def test_the_weights_are_small_and_whole():
             assert run.experiment.sensing.rotation
             assert run.experiment.sensing.reflection
             assert set(run.experiment.sizes) <= set(range(3, 29))
+
+
+def test_weights_that_are_packed_anew_keep_their_card(tmp_path):
+    shutil.copytree(pretrained.FOLDER / "C2", tmp_path / "C2")
+    target = tmp_path / "C2" / "visible"
+    (target / "left-over").write_text("")
+    pack(RunFolder(pretrained.FOLDER / "C1" / "global"), target)
+    card = pretrained.FOLDER / "C2" / "visible" / "README.md"
+    assert (target / "README.md").read_bytes() == card.read_bytes()
+    assert not (target / "left-over").exists()
+    packed = RunFolder(target)
+    assert packed.experiment().objective == "C1"
+    assert packed.inspect(resume=True) == "finished"
+    assert packed.verify()
 
 
 def test_damaged_weights_are_refused(tmp_path, monkeypatch):

@@ -12,10 +12,12 @@ from gymnasium.utils.env_checker import data_equivalence
 from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test, render_test, state_test
 from pettingzoo.utils import parallel_to_aec
 
+from murmurate import Signal
 from murmurate.errors import InputError
 from murmurate.geometry import neighbors_and_visible
 from murmurate.interop.pettingzoo import parallel_env
 from murmurate.world import GlobalSensing, LocalObservation, VisibleSensing
+from murmurate.world.signals import Close
 
 NAMES = ["robot_0", "robot_1", "robot_2"]
 ROW = np.array([[-5.0, 0.0], [-1.0, 0.0], [4.0, 0.25]], np.float32)
@@ -104,6 +106,32 @@ def test_without_a_landmark_nobody_is_told_where_to_gather():
     for options in ({"objective": "C2"}, {"sensing": GlobalSensing(landmark=False)}):
         env = make(**options)
         assert env.observation_space("robot_0").shape == at(env)[0]["robot_0"].shape == (2, 3)
+
+
+class Home(Signal):
+    """A signal of one's own, measured from the origin."""
+
+    needs_landmark = True
+
+    def __call__(self, configuration):
+        return -(configuration.positions**2).sum(axis=1)
+
+
+class Still(Signal):
+    """A signal of one's own that is the same everywhere."""
+
+    def __call__(self, configuration):
+        return 0 * configuration.positions[:, 0]
+
+
+def test_a_landmark_is_shown_where_a_signal_needs_it_whatever_its_name():
+    own = {"objective": "custom", "sensing": "global"}
+    for name, signal, rows in (("home", Home(), 3), ("middle", Close(), 3), ("close", Still(), 2)):
+        env = make(**own, signals={name: signal})
+        observations, _ = at(env)
+        assert env.observation_space("robot_0").shape == observations["robot_0"].shape == (rows, 3)
+        if rows == 3:
+            close(observations["robot_1"][2], [*-TRIANGLE[1], 1])
 
 
 def test_walls_are_shown_where_they_are_perceived():

@@ -100,6 +100,15 @@ def test_damaged_metrics_are_one_line(tmp_path):
         events(tmp_path)
 
 
+def test_metrics_of_a_stranger_have_the_points_that_they_can_have(tmp_path):
+    row = {"policy": 0, "name": "base", "update": 1, "environment_steps": 8.5, "signals": {"a": 0.5}, "x": 10**399}
+    (tmp_path / METRICS).write_text(json.dumps(row) + "\n")
+    with Events() as events:
+        events(tmp_path)
+    points = {(name, step, value) for name, step, value, _ in read(tmp_path)}
+    assert points == {("policy", 8, 0.0), ("update", 8, 1.0), ("signals/a", 8, 0.5)}
+
+
 def test_a_linked_folder_is_refused(tmp_path):
     run, elsewhere = tmp_path / "run", tmp_path / "elsewhere"
     run.mkdir()

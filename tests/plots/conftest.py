@@ -7,6 +7,7 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from murmurate import geometry, plots
+from murmurate.discovery import RestRule
 from murmurate.runs.presets import preset
 from murmurate.types import Trajectories
 
@@ -71,6 +72,7 @@ def trajectories(policies, objective, world, episodes, rng):
             shares = 1 - (1 - np.arange(1, steps + 1) / steps) ** 1.3
             path += list(path[-1] + shares[:, None, None] * (goal - path[-1]))
             ends.append(len(path) - 1)
+        path += [path[-1]] * RestRule().window
         paths.append(path)
         switch.append(ends[:-1])
     longest = max(len(path) for path in paths)

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from matplotlib.text import Text
 
 from murmurate import plots
 from murmurate.errors import InputError, RunError
@@ -44,6 +45,28 @@ def arrays_of(trajectories):
     arrays = {name: getattr(trajectories, name) for name in ("positions", "lengths", "switch", "at_rest", "after_rest")}
     arrays["signals"] = np.stack(list(trajectories.signals.values()), axis=-1).astype(np.float32)
     return arrays | {"signal_names": np.array(list(trajectories.signals))}
+
+
+def test_a_stranger_s_names_are_not_drawn(recording, change, tmp_path):
+    """Policies have the names of their places; what else a run calls something has no character that acts."""
+    nasty = "$x^\x1b]0;title\x07\n" + 99 * "x"
+    named = replace(recording, training=[replace(curve, name=nasty) for curve in recording.training])
+    folder = RunFolder(write_run(named, RunFolder(tmp_path / "C")))
+    starts = {"kind": "file", "name": nasty}
+    folder.write_evaluation(folder.evaluation() | {"starts": starts}, arrays_of(recording.trajectories))
+    opened = plots.Recording.open(folder)
+    assert opened.policies == ["base", "auxiliary"]
+    assert opened.starts.isprintable()
+    assert len(opened.starts) < 80
+    for draw in (plots.discovery_figure, plots.training_figure, plots.reward_figure):
+        assert all(text.get_text().isprintable() for text in draw(opened).findobj(Text))
+
+
+def test_metrics_are_of_the_experiment(recording, tmp_path):
+    curves = [replace(curve, signals={"\x1b": curve.signals["visible"]}) for curve in recording.training]
+    folder = write_run(replace(recording, training=curves), RunFolder(tmp_path / "C"))
+    with pytest.raises(RunError, match=r"metrics that are not of its experiment: of the signals \\x1b$"):
+        plots.Recording.open(folder)
 
 
 def test_reads_what_was_recorded(recording, folder):

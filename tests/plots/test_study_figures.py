@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from matplotlib.collections import EllipseCollection
+from matplotlib.text import Text
 
 from murmurate import plots
 from murmurate.errors import InputError
@@ -173,6 +174,16 @@ def test_failures_show_blocked_sight_and_contacts(check_labels):
     check_labels(figure)
     many = [row(worst=[failure()] * MAX_FAILURES), row("circle", worst=[failure()] * 2)]
     assert len(plots.failures_figure(many, worlds).axes) == 2
+
+
+def test_methods_are_drawn_without_what_a_font_has_not():
+    nasty = "$x^\x1b]0;title\x07\n"
+    rows = [row(nasty, worst=[failure()])]
+    for figure in (plots.comparison_figure(rows), plots.failures_figure(rows, {4: WorldConfig(robots=4)})):
+        named = [text.get_text() for text in figure.findobj(Text) if "title" in text.get_text()]
+        assert named
+        assert all("$x^\\x1b]0;title\\x07" in text and text.isprintable() for text in named)
+        plots.png(figure, dpi=20)
 
 
 def test_nothing_to_compare():

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from reading import Page
 
+from murmurate.errors import printable
 from murmurate.report.render import to_html
 from murmurate.report.tables import _table, caption, code, plain
 
@@ -102,4 +103,4 @@ def test_any_text_comes_out_as_it_went_in(text):
 @given(st.text(st.characters(exclude_categories=("Cc", "Cs", "Zs", "Zl", "Zp")), min_size=1))
 def test_any_value_can_be_code(value):
     page = Page(to_html(f"x {code(value)}", {}))
-    assert page.texts["p"] == [f"x {value.replace('`', chr(39))}"]
+    assert page.texts["p"] == [f"x {printable(value).replace('`', chr(39))}"]

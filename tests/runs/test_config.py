@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import pytest
@@ -79,7 +80,17 @@ def test_a_damaged_configuration_is_one_line(tmp_path):
     with pytest.raises(RunError, match="cannot read"):
         experiment.load(tmp_path)
     path = tmp_path / "experiment.toml"
-    for text, line in (("x = ", "valid TOML"), ("radius = 1.0", "radius = 1.0: must be a field of"), ("", "given")):
+    whole = config_io.dump_toml(presets.preset("C"))
+    crowd = whole.replace("robots = 10\n", "robots = 30000\n")
+    endless = re.sub(r"max_steps = \d+", "max_steps = 2147483647", whole)
+    assert whole not in (crowd, endless)
+    for text, line in (
+        ("x = ", "valid TOML"),
+        ("radius = 1.0", "radius = 1.0: must be a field of"),
+        ("", "given"),
+        (crowd, "world.robots = 30000: must be an integer >= 2 and <= 10000"),
+        (endless, "rest.max_steps = 2147483647: must be an integer >= 1 and <= 10000000"),
+    ):
         path.write_text(text)
         with pytest.raises(RunError, match=line) as caught:
             experiment.load(tmp_path)

@@ -39,6 +39,7 @@ def test_a_page_shows_it_and_does_nothing():
     assert html.count("&lt;script&gt;alert(1)&lt;/script&gt;") == 3
     assert html.count("<td") == 2
     assert "<em>b</em>" not in html
+    assert code("a\x1b]0;title\x07") == "`a\\x1b]0;title\\x07`"
     inside = code("x`\n\n# heading\n\n![picture](http://x/y.png)")
     broken_out = to_html(f"# title\n\n- {inside}\n", {})
     assert "<img" not in broken_out
@@ -124,6 +125,7 @@ class _Pictures(dict):
         ({"start": []}, r"row 1 has start = \[\]"),
         ({"method": None}, "row 1 has method = None"),
         ({"steps": "x"}, "row 1 has steps = 'x'"),
+        ({"steps": 10**399}, "row 1 has steps = 1000"),  # no float holds it
         ({"worst": [{"positions": [[0, 0]], "free": True}]}, "row 1 has worst = "),
         ({"worst": [{"positions": [[0, 0], [0, 1], [1e300, 0]], "free": True}]}, "row 1 has worst = "),
     ],

@@ -127,14 +127,14 @@ def test_a_pattern_that_beats_the_table_is_offered_as_a_record(tmp_path, monkeyp
 
 
 def test_interventions_of_a_shield_are_recorded_and_shown(tmp_path):
-    evaluation = made_up([[20], [40]], [30, 70], [True, False])
+    evaluation = made_up([[10], [15]], [20, 30], [True, False])
     assert "interventions" not in evaluation.summary()
     trajectories = replace(evaluation.trajectories, interventions=np.array([3, 4], np.int32))
     evaluation = replace(evaluation, trajectories=trajectories)
     folder = RunFolder(tmp_path)
     folder.write_experiment(evaluation.experiment)
     evaluation.save(folder)
-    np.testing.assert_array_equal(folder.trajectories().interventions, [3, 4])
+    np.testing.assert_array_equal(folder.trajectories(folder.experiment()).interventions, [3, 4])
     summary = folder.evaluation()
     assert summary["interventions"] == 3.5
     assert ("moves shortened by the shield, an episode", "3.5") in table.comparison(summary, None)[1]
@@ -143,7 +143,7 @@ def test_interventions_of_a_shield_are_recorded_and_shown(tmp_path):
 def test_what_follows_after_rest_is_recorded_and_shown(tmp_path):
     """Of two patterns one stays; the other's robots drift apart."""
     square = np.array([[0.0, 0.0], [5.0, 0.0], [0.0, 5.0]])
-    evaluation = made_up([[20], [40]], [30, 70], [True, True])
+    evaluation = made_up([[10], [15]], [20, 30], [True, True])
     after = np.stack([[square] * 3, [square, 1.1 * square, 1.2 * square]]).astype(np.float32)
     positions = np.broadcast_to(square.astype(np.float32), evaluation.trajectories.positions.shape)
     trajectories = replace(evaluation.trajectories, positions=positions, after_rest=after)
@@ -153,7 +153,7 @@ def test_what_follows_after_rest_is_recorded_and_shown(tmp_path):
     folder = RunFolder(tmp_path)
     folder.write_experiment(experiment)
     evaluation.save(folder)
-    np.testing.assert_array_equal(folder.trajectories().after_rest, after)
+    np.testing.assert_array_equal(folder.trajectories(folder.experiment()).after_rest, after)
     summary = folder.evaluation()
     assert list(summary).index("stationary") == list(summary).index("at_rest") + 1
     assert (summary["at_rest"], summary["stationary"], summary["valid"], summary["failures"]) == (1.0, 0.5, 0.5, [1])
@@ -162,7 +162,7 @@ def test_what_follows_after_rest_is_recorded_and_shown(tmp_path):
     arrays = files.read_npz(tmp_path / "trajectories.npz")
     files.write_npz(tmp_path / "trajectories.npz", arrays | {"after_rest": after[:, :, :2]})
     with pytest.raises(RunError, match="has after_rest as"):
-        folder.trajectories()
+        folder.trajectories(folder.experiment())
     files.write_npz(tmp_path / "trajectories.npz", arrays | {"after_rest": after * np.nan})
     with pytest.raises(RunError, match="not finite"):
-        folder.trajectories()
+        folder.trajectories(folder.experiment())

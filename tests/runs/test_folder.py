@@ -84,7 +84,7 @@ def test_a_finished_run_is_read(finished):
     assert folder.experiment() == tiny()
     assert len(folder.policies(policy_templates(tiny(), 2))) == 2
     assert [row["update"] for row in folder.metrics()] == [1, 2, 3, 4] * 2
-    summary, trajectories = folder.evaluation(), folder.trajectories()
+    summary, trajectories = folder.evaluation(), folder.trajectories(tiny())
     assert is_fresh(summary)
     assert describe_starts(summary) == "fresh starts"
     assert trajectories.positions.shape[::2] == (200, 3)
@@ -140,13 +140,13 @@ def test_folders_of_version_0_1_0_are_read(damaged):
     assert damaged.verify()["valid_pattern"] is False
     assert (damaged.evaluation()["contact_free"], damaged.evaluation()["inside"]) == (1, 1)
     assert describe_starts(damaged.evaluation()) == "starts of mine.csv"
-    assert damaged.trajectories().lengths.tolist() == arrays["lengths"].tolist()
+    assert damaged.trajectories(tiny()).lengths.tolist() == arrays["lengths"].tolist()
     # Whether patterns stay is not known: no summary says so, and no positions show it.
     assert np.isnan(damaged.evaluation()["stationary"])
-    assert damaged.trajectories().after_rest is None
+    assert damaged.trajectories(tiny()).after_rest is None
     judged = evaluated(damaged)
     assert (judged["stationary"], judged["valid"]) == (0.0, 0.0)
-    (line,) = describe_failures(damaged.experiment(), damaged.trajectories())
+    (line,) = describe_failures(damaged.experiment(), damaged.trajectories(tiny()))
     assert line.startswith("200 of 200 starts failed: what follows after rest was not recorded")
     change(path / "evaluation.json", starts="fresh")
     assert is_fresh(damaged.evaluation())
@@ -216,7 +216,7 @@ def test_every_policy_needs_a_checksum(damaged, policies, line):
 def test_every_file_is_checked_when_it_is_read(damaged, name):
     reads = {
         "evaluation.json": damaged.evaluation,
-        "trajectories.npz": damaged.trajectories,
+        "trajectories.npz": lambda: damaged.trajectories(tiny()),
         "metrics.jsonl": damaged.metrics,
     }
     checksums = damaged.manifest()["checksums"]
@@ -235,7 +235,7 @@ def test_an_evaluation_that_was_killed_half_way_is_made_again(damaged):
         damaged.evaluation()
     evaluate(Run.open(damaged.path), episodes=4).save(damaged)
     assert damaged.evaluation()["episodes"] == 4
-    assert damaged.trajectories().positions.shape[0] == 4
+    assert damaged.trajectories(tiny()).positions.shape[0] == 4
 
 
 def test_validity_is_computed_not_believed(damaged):
@@ -243,7 +243,7 @@ def test_validity_is_computed_not_believed(damaged):
     assert summary == damaged.evaluation()
     assert summary["valid"] > 0
     arrays = files.read_npz(damaged.path / "trajectories.npz")
-    arrays["positions"][:, -1, 0] = 1e6
+    arrays["positions"][:, 1:, 0] = 1e6
     damaged.write_evaluation(damaged.evaluation(), arrays)
     assert (evaluated(damaged)["valid"], evaluated(damaged)["inside"]) == (0, 0)
     assert evaluated(damaged)["failures"] == list(range(200))
@@ -254,7 +254,7 @@ def test_trajectories_are_of_the_evaluation_beside_them(damaged):
     change(damaged.path / "evaluation.json", episodes=199, failures=[], valid=1.0)
     seal(damaged)
     with pytest.raises(RunError, match="is not of the evaluation beside it"):
-        damaged.trajectories()
+        damaged.trajectories(tiny())
 
 
 def test_nothing_is_claimed_of_positions_that_are_missing(damaged):
@@ -279,7 +279,7 @@ def test_everything_that_positions_show_is_computed(damaged):
 def test_failures_are_computed_too(damaged):
     """Of episodes that all fail nothing is believed either, even where some positions are not finite."""
     arrays = files.read_npz(damaged.path / "trajectories.npz")
-    arrays["positions"][:, -1, 0] = 1e6
+    arrays["positions"][:, 1:, 0] = 1e6
     arrays["positions"][0] = arrays["after_rest"][0] = np.nan
     failed = damaged.evaluation() | {"valid": 0.0, "valid_interval": [0.0, 0.1], "failures": [*range(200)]}
     damaged.write_evaluation(failed, arrays)
@@ -389,7 +389,7 @@ def test_trajectories_fit_together(damaged, array, line):
     files.write_npz(path, {name: value for name, value in arrays.items() if value is not None})
     seal(damaged)
     with pytest.raises(RunError, match=line):
-        damaged.trajectories()
+        damaged.trajectories(tiny())
 
 
 @pytest.mark.parametrize(
@@ -418,8 +418,53 @@ def test_trajectories_are_possible(damaged, name, forge, line):
     files.write_npz(path, arrays | {name: forge(arrays[name])})
     seal(damaged)
     with pytest.raises(RunError, match=line):
-        damaged.trajectories()
+        damaged.trajectories(tiny())
     assert main(["table", str(damaged.path)]) == 2
+
+
+def test_robots_that_moved_were_not_at_rest(damaged):
+    """At rest no robot moves farther than `stillness` radii in a step, for `window` steps of the last policy."""
+    config, path = damaged.experiment(), damaged.path / "trajectories.npz"
+    whole, window = files.read_npz(path), config.rest.window
+    limit = config.rest.stillness * config.world.radius
+    assert whole["at_rest"].all()
+
+    def moved(step, distance, **arrays):
+        """Writes episodes in the last of which a robot moves at a step, the last one being 1, and stays there."""
+        positions = whole["positions"].copy()
+        positions[-1, positions.shape[1] - step :, 0, 0] += distance
+        files.write_npz(path, whole | {"positions": positions} | arrays)
+        seal(damaged)
+        return damaged.trajectories(config)
+
+    for step in (1, window):
+        with pytest.raises(RunError, match=f"at_rest in an episode whose robots moved in its last {window} steps$"):
+            moved(step, 1.2 * limit)
+        # Not farther than robots at rest do, nor than 32 bits tell apart.
+        moved(step, 0.8 * limit)
+    moved(window + 1, 0.1)
+    moved(1, 0.1, at_rest=np.append(whole["at_rest"][:-1], False))
+    with pytest.raises(RunError, match=f"at_rest in an episode whose last policy acted for fewer than the {window}"):
+        moved(window + 1, 0.0, switch=np.full_like(whole["switch"], whole["lengths"][0] - window + 1))
+    moved(1, 0.1, at_rest=np.append(whole["at_rest"][:-1], False))
+    with pytest.raises(RunError, match="at_rest in an episode whose robots moved"):
+        moved(1, 0.1)
+    assert main(["table", str(damaged.path)]) == 2
+
+
+def test_version_0_1_0_had_another_rule_of_rest(damaged):
+    """Its runs stay readable: they recorded nothing after rest, so that nothing counts as valid in them."""
+    arrays = files.read_npz(damaged.path / "trajectories.npz")
+    arrays["positions"][:, -1, 0] += 0.1
+    manifest = damaged.manifest()
+    old = manifest | {"format": 1, "checksums": trained_checksums(manifest)}
+    files.write_npz(damaged.path / "trajectories.npz", arrays)
+    files.write_json(damaged.path / MANIFEST, old)
+    with pytest.raises(RunError, match="at_rest in an episode whose robots moved"):
+        damaged.trajectories(tiny())
+    files.write_npz(damaged.path / "trajectories.npz", {k: v for k, v in arrays.items() if k not in _LATER})
+    assert damaged.trajectories(tiny()).at_rest.all()
+    assert evaluated(damaged)["valid"] == 0
 
 
 @pytest.mark.parametrize(
@@ -457,7 +502,7 @@ def test_trajectories_are_finite(damaged):
     files.write_npz(path, arrays)
     seal(damaged)
     with pytest.raises(RunError, match="not finite: the training diverged"):
-        damaged.trajectories()
+        damaged.trajectories(tiny())
 
 
 def test_metrics_are_rows_of_numbers(damaged):

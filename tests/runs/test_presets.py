@@ -3,6 +3,7 @@ from __future__ import annotations
 import math
 import shlex
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -11,6 +12,8 @@ from murmurate.runs import config_io, presets
 from murmurate.runs.experiment import ExperimentConfig
 from murmurate.runs.paper import EXPERIMENTS
 from murmurate.world import WorldConfig
+
+DOCS = Path(__file__).parents[2] / "docs"
 
 
 def test_table_iii():
@@ -74,6 +77,37 @@ def flat(overlay, path=""):
             yield from flat(value, f"{path}{name}.")
         else:
             yield path + name, value
+
+
+OWN = {
+    "weights of the auxiliary policies": "auxiliary.weights.",
+    "the rule of rest": "rest.",
+    "the least number of policies": "discovery.min_policies",
+    "the cost of motion": "base.motion_cost",
+}
+
+
+def test_the_pages_say_whose_numbers_are_not_the_defaults():
+    """Which experiments have numbers of their own, and of what; and whose discount falls."""
+    page = " ".join((DOCS / "results.md").read_text(encoding="utf-8").split())
+    own = {name: [path for path, _ in flat(overlay)] for name, overlay in presets.EXPERIMENT_OVERRIDES.items()}
+    parts = []
+    for what, prefix in OWN.items():
+        names = [name for name, paths in own.items() if any(path.startswith(prefix) for path in paths)]
+        parts.append(f"{what} in {' and '.join(filter(None, [', '.join(names[:-1]), names[-1]]))}")
+    assert f"A, B, D, E and F have some numbers of their own ({', '.join(parts)})." in page
+    assert {*own} == {*"ABDEF"}
+
+    page = " ".join((DOCS / "paper.md").read_text(encoding="utf-8").split())
+    discounts = {
+        name: (learner.base.ppo.discount, learner.auxiliary.ppo.discount)
+        for name, learner in presets.TRAINING_PRESETS.items()
+    }
+    assert discounts.pop("paper") == (0.95, 0.85)
+    assert discounts.pop("central") == (0.95, 0.90)
+    assert {*discounts.values()} == {(0.95, 0.95)}
+    assert "The default learner does not reduce the discount: it is 0.95 for the base policy and for every" in page
+    assert "Only `paper` (0.95, then 0.85) and `central` (0.95, then 0.90) do." in page
 
 
 def test_the_papers_learner_goes_the_papers_way():

@@ -57,7 +57,7 @@ READS = {
     "policies/0-base.safetensors": lambda run: run.verify(),
     "metrics.jsonl": lambda run: run.metrics(),
     "evaluation.json": lambda run: run.evaluation(),
-    "trajectories.npz": lambda run: run.trajectories(),
+    "trajectories.npz": lambda run: run.trajectories(tiny()),
     "record.json": lambda run: run.record(),
 }
 
@@ -305,7 +305,7 @@ def test_only_needed_arrays_are_loaded(strange, monkeypatch):
         np.lib.format.write_array_header_1_0(file, {"descr": "<f8", "fortran_order": False, "shape": (1 << 22,)})
         file.write(bytes(1 << 25))
     seal(strange)
-    assert strange.trajectories().positions.shape[0] == 200
+    assert strange.trajectories(tiny()).positions.shape[0] == 200
     assert "huge" not in files.read_npz(path, ["lengths"])
     monkeypatch.setattr(files, "MAX_ARRAY_BYTES", 1 << 20)
     with pytest.raises(RunError, match="arrays take more than 0 GiB"):

@@ -35,7 +35,7 @@ def recorded(tmp_path):
             "switch": np.zeros((episodes, 0), np.int32),
             "signals": np.zeros((episodes, configurations, 4), np.float32),
             "signal_names": np.array(tiny().signal_names),
-            "at_rest": np.ones(episodes, bool),
+            "at_rest": np.zeros(episodes, bool),
         }
         folder.write_experiment(tiny())
         folder.write_policies([{}])

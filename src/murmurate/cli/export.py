@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from murmurate.cli.arguments import Parser
-from murmurate.errors import RunError, UsageError, check_choice
+from murmurate.errors import RunError, UsageError, check_choice, escaped
 from murmurate.terminal import say
 
 __all__ = ["run"]
@@ -56,7 +56,7 @@ def run(argv: Sequence[str]) -> int:
 
 def _model(options: Namespace) -> int:
     folder: str | None = options.run
-    path = _free(Path(options.out or f"{Path(folder).resolve().name if folder else 'murmurate'}.onnx"))
+    path = _free(Path(options.out or f"{_name(folder) if folder else 'murmurate'}.onnx"))
     import murmurate
     from murmurate.runs import files
     from murmurate.runs.run import Run
@@ -83,7 +83,7 @@ def _waypoints(options: Namespace) -> int:
     from murmurate.interop.waypoints import FORMATS, Scale, Waypoints
 
     check_choice("--trajectories", options.trajectories, FORMATS)
-    path = _free(Path(options.out or f"{Path(options.run).resolve().name}.{options.trajectories}"))
+    path = _free(Path(options.out or f"{_name(options.run)}.{options.trajectories}"))
     default = Scale()
     scale = Scale(
         metres=default.metres if options.scale is None else options.scale,
@@ -100,6 +100,11 @@ def _waypoints(options: Namespace) -> int:
     say(f"episodes: {episodes}{note}")
     say(f"waypoints: {path}")
     return 0
+
+
+def _name(folder: str) -> str:
+    """Returns the name of a run folder for a file: a stranger's may hold what no name of a new file should."""
+    return escaped(Path(folder).resolve().name)
 
 
 def _free(path: Path) -> Path:

@@ -15,6 +15,7 @@ from murmurate.representation import short_repr
 from murmurate.world import (
     FsyncScheduler,
     GlobalSensing,
+    Objective,
     Scheduler,
     Sensing,
     Signal,
@@ -220,7 +221,7 @@ class Problem:
     @property
     def landmark(self) -> bool:
         """Whether the gathering point is known: whether a signal of the objective is measured from it."""
-        return any(signal.needs_landmark for signal in self.objective_signals.values())
+        return Objective(self.objective_signals).needs_landmark
 
     def stage(self, index: int) -> StageConfig:
         """Returns how the policy at a place in the list is trained."""

@@ -114,7 +114,7 @@ class Gathering:
     @property
     def has_landmark(self) -> bool:
         """Whether the objective gathers the robots at a given point, the origin."""
-        return "close" in self.world.objective.names
+        return self.world.objective.needs_landmark
 
     @property
     def position_bounds(self) -> Float[np.ndarray, "2"]:

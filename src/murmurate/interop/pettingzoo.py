@@ -40,9 +40,9 @@ class GatheringParallelEnv(ParallelEnv[str, Rows, Velocity]):
 
     An observation is what the robot perceives, in its own frame, centred on itself, in its own unit of length. Its rows
     are `x, y, 1` for each robot it perceives, the nearest first, and zeros for the rest: `(robots - 1, 3)`. One
-    more row `x, y, 1` follows for the gathering point where there is one and a landmark shows it (C1), four for the
-    nearest points of the walls where they are perceived (`sensing.walls`), opposite walls two rows apart, and one more,
-    `radius, 0, 1`, where units differ (`sensing.unit_ratio`), by which a robot tells how long its unit is.
+    more row `x, y, 1` follows for the gathering point where a signal needs it (C1) and a landmark shows it, four for
+    the nearest points of the walls where they are perceived (`sensing.walls`), opposite walls two rows apart, and one
+    more, `radius, 0, 1`, where units differ (`sensing.unit_ratio`), by which a robot tells how long its unit is.
 
     An action is the robot's own velocity in its own frame. In the world's, each component is limited once more.
 
@@ -239,7 +239,7 @@ def _observe(env: Wrapper, state: Any) -> Float[Array, "robots rows 3 batch"]:
     rows = jnp.take_along_axis(jnp.stack([view.x, view.y, seen], axis=2), order[:, :, None], axis=1)
     ones, zeros = jnp.ones_like(view.radius), jnp.zeros_like(view.radius)
     extra = []
-    if "close" in env.unwrapped.objective.names and sensing.landmark:
+    if env.unwrapped.objective.needs_landmark and sensing.landmark:
         extra.append(jnp.stack([view.landmark_x, view.landmark_y, ones], axis=1))
     if view.walls is not None:
         extra += [jnp.stack([*jnp.unstack(wall, axis=1), ones], axis=1) for wall in jnp.unstack(view.walls, axis=1)]

@@ -57,7 +57,7 @@ class Events:
             rows, self._read[folder] = RunFolder(folder).new_metrics(self._read[folder])
             for row in rows:
                 for name, value in scalars(row):
-                    step, time = row["environment_steps"], row["seconds"]
+                    step, time = int(row["environment_steps"]), row.get("seconds")
                     self._writers[folder].add_scalar(name, value, step, walltime=time)
             self._writers[folder].flush()
 
@@ -76,5 +76,5 @@ def scalars(row: Mapping[str, Any]) -> Iterator[tuple[str, float]]:
     for name, value in row.items():
         if isinstance(value, Mapping):
             yield from ((f"{name}/{inner}", number) for inner, number in scalars(value))
-        elif name not in _POSITION and isinstance(value, int | float):
+        elif name not in _POSITION and files.is_number(value):
             yield name, float(value)

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from murmurate.discovery import check_validity, policy_name
-from murmurate.errors import check_number, check_type
+from murmurate.errors import RunError, check_number, check_type
 from murmurate.representation import short_repr
 from murmurate.runs.experiment import ExperimentConfig
 from murmurate.runs.folder import RunFolder, describe_starts, is_fresh
@@ -106,9 +106,12 @@ class Recording:
         """
         folder = RunFolder(run)
         folder.verify()
-        config, summary = folder.experiment(trust), folder.evaluation()
+        config, summary, rows = folder.experiment(trust), folder.evaluation(), folder.metrics()
+        if rows and rows[0]["signals"].keys() != {*config.signal_names}:
+            names = ", ".join(rows[0]["signals"])
+            raise RunError(f"{folder.path} has metrics that are not of its experiment: of the signals {names}")
         starts = "" if is_fresh(summary) else describe_starts(summary)
-        return cls(config, folder.trajectories(config), _curves(folder.metrics()), starts)
+        return cls(config, folder.trajectories(config), _curves(rows), starts)
 
     def __post_init__(self) -> None:
         check_type("experiment", self.experiment, ExperimentConfig, "an experiment, such as run.experiment")
@@ -193,11 +196,11 @@ def _curves(rows: Iterable[Mapping[str, Any]]) -> list[TrainingCurve]:
         by_policy.setdefault(row["policy"], []).append(row)
     return [
         TrainingCurve(
-            name=str(updates[0]["name"]),
+            name=policy_name(index),
             environment_steps=np.array([row["environment_steps"] for row in updates], float),
             signals={
                 name: np.array([row["signals"][name] for row in updates], float) for name in updates[0]["signals"]
             },
         )
-        for _, updates in sorted(by_policy.items())
+        for index, (_, updates) in enumerate(sorted(by_policy.items()))
     ]

@@ -17,7 +17,7 @@ from matplotlib.ticker import MaxNLocator
 from matplotlib.transforms import ScaledTranslation
 
 from murmurate.analysis.measures import fit_line
-from murmurate.errors import InputError, check_all, check_number, check_type
+from murmurate.errors import InputError, check_all, check_number, check_type, printable
 from murmurate.plots.recording import Recording
 from murmurate.plots.run import describe_goal, describe_sight, describe_swarm, draw_pattern, pattern_window
 from murmurate.plots.style import (
@@ -341,7 +341,8 @@ def comparison_figure(rows: Sequence[Row]) -> Figure:
         ax = add_axes(figure, LEFT + 0.45 + column * (width + 0.6), bottom, width, height)
         style_axes(ax, panel, "robots", "valid, %" if column == 0 else "", pad=6)
         _draw_methods(ax, [row for row in rows if _condition(row) == panel], looks)
-    handles = [Line2D([], [], markersize=4.5, label=method, **look) for method, look in looks.items()]
+    # Fonts have no control characters.
+    handles = [Line2D([], [], markersize=4.5, label=printable(method), **look) for method, look in looks.items()]
     position: dict[str, Any] = {"loc": "lower center", "bbox_to_anchor": (0.5, 0.0), "ncols": len(handles)}
     legend = figure.legend(handles=handles, fontsize=TEXT, labelcolor=INK, frameon=False, **position)
     for text in legend.get_texts():
@@ -389,7 +390,8 @@ def failures_figure(rows: Sequence[Row], worlds: Mapping[int, WorldConfig]) -> F
         if not failure["free"]:
             for spine in ax.spines.values():
                 spine.set(color="#E69F00", linewidth=1.6)
-        ax.set_title(f"{row['method']}, N = {row['robots']}", fontsize=TEXT, color=INK, pad=14, parse_math=False)
+        title = f"{printable(row['method'])}, N = {row['robots']}"
+        ax.set_title(title, fontsize=TEXT, color=INK, pad=14, parse_math=False)
         ax.text(0.5, 1.02, _condition(row), transform=ax.transAxes, ha="center", fontsize=TEXT - 1.5, color=MUTED)
     return figure
 

@@ -29,7 +29,7 @@ def markdown(text: str) -> str:
 
 def code(value: object) -> str:
     """Returns a value as code in a line of Markdown, whatever characters it has; line breaks would end the line."""
-    return f"`{' '.join(str(value).split()).replace('`', chr(39))}`"
+    return f"`{printable(str(value)).replace('`', chr(39))}`"
 
 
 def link(path: str) -> str:

@@ -14,6 +14,7 @@ import io
 import json
 import math
 import os
+import sys
 import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
@@ -250,8 +251,8 @@ def check_plain(value: Any, has_surrogates: bool = True) -> None:
 
 
 def is_number(value: Any) -> bool:
-    """Returns whether a value that was read is a number, finite as all are that `parse_json` reads."""
-    return isinstance(value, int | float) and not isinstance(value, bool)
+    """Returns whether a value that was read is a number that a float holds; `parse_json` reads longer integers too."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
 
 
 def _integer(text: str) -> int:

@@ -34,7 +34,7 @@ import numpy as np
 
 from murmurate import untrusted
 from murmurate.discovery import STATIONARY_STEPS, Search, Snapshot, policy_name, policy_templates
-from murmurate.errors import MAX_INTEGER, RunError, check_path, check_type, shown
+from murmurate.errors import MAX_INTEGER, RunError, check_path, check_type, one_line, shown
 from murmurate.representation import short_repr
 from murmurate.runs import experiment as configuration
 from murmurate.runs import files
@@ -71,6 +71,9 @@ POLICIES = "policies"
 FIGURES = "figures"
 SNAPSHOT, INITIAL = "snapshot.safetensors", "initial.safetensors"
 LOCK = ".training.lock"
+
+MAX_NAME = 60
+"""Characters of the name of starts that are shown, at most."""
 
 TAIL_BYTES = 1 << 14
 """Bytes at the end of metrics.jsonl that `last_metrics` reads."""
@@ -575,11 +578,12 @@ class RunFolder:
             summary[name] = float("nan") if summary[name] is None else float(summary[name])
         return summary
 
-    def trajectories(self, config: ExperimentConfig | None = None, finite: bool = True) -> Trajectories:
+    def trajectories(self, config: ExperimentConfig, finite: bool = True) -> Trajectories:
         """Reads the episodes of the evaluation.
 
         Args:
-            config: The run's configuration, which they must be of, and which says how many steps they can have.
+            config: The run's configuration, which they must be of. It says how many steps they can have, and what rest
+                is.
             finite: Refuse episodes in which a position or signal is not finite.
 
         Returns:
@@ -600,21 +604,17 @@ class RunFolder:
 
         def check(headers: dict[str, files.ArrayHeader]) -> None:
             _check_headers(path, headers, episodes, robots, policies)
-            if config is not None:
-                _check_sizes(path, headers, config)
+            _check_sizes(path, headers, config)
 
         arrays = files.read_npz(path, (*_REQUIRED, "terminated", "epochs", "interventions", "after_rest"), check)
         self._check_evaluated(TRAJECTORIES)
         positions, names = arrays["positions"], [str(name) for name in arrays["signal_names"]]
-        if config is not None and (names, positions.shape[2]) != (list(config.signal_names), config.world.robots):
-            what = f"{positions.shape[2]} robots and the signals {', '.join(names)}"
-            raise RunError(f"{path} is not of this experiment: it has {what}")
+        if names != list(config.signal_names):
+            raise RunError(f"{path} is not of this experiment: it has the signals {', '.join(names)}")
         lengths, signals, after_rest = arrays["lengths"].astype(int), arrays["signals"], arrays.get("after_rest")
         recorded = (positions, signals, *([] if after_rest is None else [after_rest]))
         if finite and not all(np.isfinite(array).all() for array in recorded):
             raise RunError(f"{path} has positions or signals that are not finite: the training diverged")
-        if len(set(names)) < len(names):
-            raise RunError(f"{path} has signal_names = {shown(names)}, which are not different from each other")
         trajectories = Trajectories(
             positions=positions,
             lengths=lengths,
@@ -626,8 +626,10 @@ class RunFolder:
             after_rest=after_rest,
             signals={name: signals[..., index] for index, name in enumerate(names)},
         )
-        # In version 0.1.0, moves that were begun before the end of an episode went on after it.
-        impossible = _impossibility(trajectories, holds_still=version == FORMAT)
+        # In version 0.1.0, which recorded nothing after rest, rest was another thing, and moves that were begun before
+        # the end of an episode went on after it.
+        is_old = version == OLD_FORMAT and after_rest is None
+        impossible = _impossibility(trajectories) or ("" if is_old else _restlessness(trajectories, config))
         if impossible:
             raise RunError(f"{path} has {impossible}")
         return trajectories
@@ -738,7 +740,11 @@ def _check_sizes(path: Path, headers: dict[str, files.ArrayHeader], config: Expe
         headers: What they say of themselves; see `_check_headers`.
         config: The run's configuration.
     """
-    policies = headers["switch"].shape[1] + 1
+    policies, robots = headers["switch"].shape[1] + 1, headers["positions"].shape[2]
+    if robots != config.world.robots:
+        raise RunError(f"{path} is not of this experiment: it has {robots} robots")
+    if policies > MAX_POLICIES:
+        raise RunError(f"{path} has switch as {headers['switch']}: no run has so many policies")
     most = {
         "positions": config.rest_in_steps.max_steps * policies + 1,
         "after_rest": STATIONARY_STEPS * config.scheduler.period,
@@ -757,13 +763,8 @@ def _check_sizes(path: Path, headers: dict[str, files.ArrayHeader], config: Expe
         raise RunError(f"{path} is not of this experiment: it has signal_names as {headers['signal_names']}")
 
 
-def _impossibility(trajectories: Trajectories, holds_still: bool) -> str:
-    """Returns in words what no rollout could have recorded; nothing where all is possible.
-
-    Args:
-        trajectories: The episodes.
-        holds_still: Whether nobody may move after the length of an episode.
-    """
+def _impossibility(trajectories: Trajectories) -> str:
+    """Returns in words what no rollout could have recorded; nothing where all is possible."""
     lengths, (_, configurations, robots, _) = trajectories.lengths, trajectories.positions.shape
     if lengths.min() < 0 or lengths.max() >= configurations:
         return f"lengths that are not from 0 to {configurations - 1}"
@@ -774,11 +775,29 @@ def _impossibility(trajectories: Trajectories, holds_still: bool) -> str:
         counts = getattr(trajectories, name)
         if counts is not None and ((counts < 0) | (counts > most)).any():
             return f"{name} that {'no' if name == 'interventions' else 'so few'} steps can have"
-    if holds_still:
-        for positions, length in zip(trajectories.positions, lengths, strict=True):
-            after, end = positions[length + 1 :], positions[length]
-            if ((after != end) & ~(np.isnan(after) & np.isnan(end))).any():
-                return "positions that change after the end of an episode"
+    return ""
+
+
+def _restlessness(trajectories: Trajectories, config: ExperimentConfig) -> str:
+    """Returns in words where robots move that have come to rest, or whose episode is over; nothing where none does."""
+    rest = config.rest_in_steps
+    most = rest.stillness * config.world.radius * (1 + STILLNESS_ROUNDING)
+    switch, lengths, at_rest = trajectories.switch, trajectories.lengths, trajectories.at_rest
+    begins = switch[:, -1] if switch.shape[1] else np.zeros_like(lengths)
+    for positions, begin, length, rested in zip(trajectories.positions, begins, lengths, at_rest, strict=True):
+        after, end = positions[length + 1 :], positions[length]
+        if ((after != end) & ~(np.isnan(after) & np.isnan(end))).any():
+            return "positions that change after the end of an episode"
+        if not rested:
+            continue
+        if length - begin < rest.window:
+            return f"at_rest in an episode whose last policy acted for fewer than the {rest.window} steps of rest"
+        last = positions[length - rest.window : length + 1].astype(float)
+        with np.errstate(invalid="ignore"):  # a training may have diverged
+            moves = np.linalg.norm(np.diff(last, axis=0), axis=-1)
+            # The recorded positions are rounded, each by half of the spacing of the numbers about it.
+            if (moves > most + 2 * np.spacing(np.abs(last).max().astype(np.float32))).any():
+                return f"at_rest in an episode whose robots moved in its last {rest.window} steps"
     return ""
 
 
@@ -803,8 +822,9 @@ def _contradiction(summary: Mapping[str, Any]) -> str:
     return ""
 
 
-ROUNDING, STEPS_ROUNDING = 1e-9, 1e-3
-"""By how much shares may differ that should be equal; and steps, as a share of them: positions are float32."""
+ROUNDING, STEPS_ROUNDING, STILLNESS_ROUNDING = 1e-9, 1e-3, 1e-5
+"""By how much shares may differ that should be equal; and steps and the moves of robots at rest, as a share of them:
+positions are float32."""
 
 
 def is_fresh(summary: Mapping[str, Any]) -> bool:
@@ -820,9 +840,9 @@ def describe_starts(summary: Mapping[str, Any]) -> str:
             by the seed), drawn (of the start `name`), set or file (with its `name`) or given (in Python).
     """
     starts = summary["starts"]
-    if starts["kind"] in ("set", "file"):
-        return f"starts of {starts['name']}"
-    return f"{starts.get('name', starts['kind'])} starts"
+    # A stranger may have named them: pictures and pages show this.
+    name = one_line(starts.get("name", starts["kind"]), MAX_NAME)
+    return f"starts of {name}" if starts["kind"] in ("set", "file") else f"{name} starts"
 
 
 def _policy_files(count: int) -> list[str]:

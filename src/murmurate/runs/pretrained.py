@@ -11,10 +11,13 @@ from murmurate.runs.comparison import SCHEDULERS, SENSINGS
 from murmurate.runs.folder import RunFolder
 from murmurate.runs.run import Run
 
-__all__ = ["FOLDER", "available", "pretrained"]
+__all__ = ["CARD", "FOLDER", "available", "pretrained"]
 
 FOLDER = Path(murmurate.__file__).parent / "pretrained"
 """One folder for each objective, in it one for each kind of sensing: weights serve every scheduler."""
+
+CARD = "README.md"
+"""The card beside each set of weights: what it is, how it was trained, and where it was measured."""
 
 
 def available() -> dict[str, tuple[str, ...]]:

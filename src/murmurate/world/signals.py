@@ -272,6 +272,11 @@ class Objective(eqx.Module):
         self.weights = {name: (weights or {}).get(name, signal.weight) for name, signal in signals.items()}
         self.names = tuple(signals)
 
+    @property
+    def needs_landmark(self) -> bool:
+        """Whether a signal is measured from the origin; see `Signal`."""
+        return any(signal.needs_landmark for signal in self.signals.values())
+
     def measure(self, configuration: Configuration) -> dict[str, Float[Array, "*batch"]]:
         """Returns the signals of a configuration by name."""
         return {name: self.signals[name].value(configuration) for name in self.names}
