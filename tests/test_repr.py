@@ -69,7 +69,9 @@ HELD = [
     WORLD.objective,
     Configuration(POSITIONS, SIZES),
     LocalObservation(WORLD, VisibleSensing(), SIZES),
-    SchedulerWrapper(DeadZone(LocalObservation(WORLD, VisibleSensing(), SIZES), SlowMoves(0.1)), SsyncScheduler()),
+    SchedulerWrapper(
+        DeadZone(LocalObservation(WORLD, VisibleSensing(), SIZES), SlowMoves(0.1), SIZES), SsyncScheduler()
+    ),
     JitteredStart(np.zeros((1000, 5, 2), np.float32)),
     world.MixtureStart(first=UniformStart(), second=JitteredStart(jnp.zeros((7, 5, 2)))),
     Observation(VIEW, POSITIONS, POSITIONS[:, 0]),

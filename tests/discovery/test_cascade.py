@@ -252,7 +252,7 @@ def asynchronous():
     """Rolls out robots that circle, each in its own time with noisy sight: the first 1, or 1 and 20 others."""
     world = with_array_leaves(World.create(SIX, UniformStart(), "C2"))
     sensing = VisibleSensing(rotation=True, bearing_noise=0.01)
-    env = DeadZone(LocalObservation(SchedulerWrapper(world, SCHEDULER), sensing, SIX), SlowMoves(0.3))
+    env = DeadZone(LocalObservation(SchedulerWrapper(world, SCHEDULER), sensing, SIX), SlowMoves(0.3), SIX)
     rule = RestRule(window=5 * SCHEDULER.period, max_steps=130)
     cascade = Cascade((Baseline.registered()["circle"](SIX, False),), env, rule)
     with pytest.MonkeyPatch.context() as patch:

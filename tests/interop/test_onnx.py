@@ -19,7 +19,7 @@ from murmurate.geometry import visible
 from murmurate.policies import ClearanceShield
 from murmurate.runs import presets
 from murmurate.runs.run import Run
-from murmurate.world import SlowMoves, apply_dead_zone
+from murmurate.world import SlowMoves, WorldConfig, apply_dead_zone
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")  # of what the converter imports
@@ -76,7 +76,7 @@ LEAST_SPEED = REST["dead_zone"]  # the speed limit is 1
 
 @eqx.filter_jit
 def act(policy, positions):
-    return apply_dead_zone(policy(positions), positions, SlowMoves(LEAST_SPEED))
+    return apply_dead_zone(policy(positions), positions, SlowMoves(LEAST_SPEED), WorldConfig())
 
 
 @pytest.mark.parametrize("robots", [1, 2, ROBOTS, 11])

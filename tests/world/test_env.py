@@ -232,7 +232,7 @@ wrapped_step = jax.jit(lambda env, state, velocities: env.step(state, velocities
 
 def test_a_robot_stands_still_by_its_own_wish_alone(world):
     """A robot that wants less than the dead zone stays exactly where it is; the others do what they want."""
-    env = DeadZone(world, SlowMoves(jnp.asarray(0.3)))
+    env = DeadZone(world, SlowMoves(jnp.asarray(0.3)), CONFIG)
     assert (env.unwrapped, env.period, env.keeps_rest) == (world, 1, True)
     wishes = np.array([[0.2, 0.2], [0.21, -0.22], [-0.3, 0.0], [0.0, -0.29999]])
     after, _ = wrapped_step(env, begin(world, SQUARE), jnp.asarray(wishes, jnp.float32))
@@ -245,9 +245,9 @@ def test_a_robot_stands_still_by_its_own_wish_alone(world):
 
 def test_a_dead_zone_of_nothing_stops_nobody():
     wishes = np.random.default_rng(0).normal(size=(4, 2, 3)).astype(np.float32)
-    np.testing.assert_array_equal(apply_dead_zone(wishes, None, SlowMoves(0.0)), wishes)
+    np.testing.assert_array_equal(apply_dead_zone(wishes, None, SlowMoves(0.0), CONFIG), wishes)
     slow = np.linalg.norm(wishes, axis=1, keepdims=True) < 0.8
-    np.testing.assert_array_equal(apply_dead_zone(wishes, None, SlowMoves(0.8)), np.where(slow, 0, wishes))
+    np.testing.assert_array_equal(apply_dead_zone(wishes, None, SlowMoves(0.8), CONFIG), np.where(slow, 0, wishes))
 
 
 def test_slow_moves_are_damped_the_more_the_slower_they_are():
@@ -255,7 +255,7 @@ def test_slow_moves_are_damped_the_more_the_slower_they_are():
     wishes = lengths[:, None] * np.array([[0.6, -0.8]])
     kept = np.array([0, 0, 0, 1 - 0.4 * 0.6, 1 - 0.4 * 0.2, 1, 1])
     slow = SlowMoves(0.195, damped_speed=0.5, damping=0.4)
-    decided = apply_dead_zone(jnp.asarray(wishes, jnp.float32), None, slow)
+    decided = apply_dead_zone(jnp.asarray(wishes, jnp.float32), None, slow, CONFIG)
     np.testing.assert_allclose(decided, wishes * kept[:, None], atol=1e-6)
 
 
@@ -336,7 +336,9 @@ def test_what_is_known_of_robots_at_rest(world):
         (GlobalSensing(rotation=True, resample_frames=True), False),
         (subclass(), False),
     ]:
-        env = DeadZone(LocalObservation(SchedulerWrapper(world, AsyncScheduler()), sensing, CONFIG), SlowMoves(0.1))
+        env = DeadZone(
+            LocalObservation(SchedulerWrapper(world, AsyncScheduler()), sensing, CONFIG), SlowMoves(0.1), CONFIG
+        )
         assert (env.keeps_rest, env.period) == (keeps, AsyncScheduler().period), sensing
     foreign = type("Later", (AsyncScheduler,), {})
     assert not SchedulerWrapper(world, foreign()).keeps_rest

@@ -375,12 +375,11 @@ class DeadZone(Wrapper):
 
     Attributes:
         slow: What becomes of slow moves.
-        world: The sizes by which robots perceive: in training with a margin, those of the world as it is. Only needed
-            with a sidestep.
+        world: The sizes by which robots perceive: in training with a margin, those of the world as it is.
     """
 
     slow: SlowMoves
-    world: WorldConfig | None = None
+    world: WorldConfig
 
     def step(self, state: Any, action: Float[Array, "robots 2 *batch"]) -> tuple[Any, Any]:
         """Stops the slow robots and advances every episode by one step."""
@@ -389,7 +388,7 @@ class DeadZone(Wrapper):
 
 
 def apply_dead_zone(
-    velocities: Float[Array, "robots 2 *batch"], observation: Any, slow: SlowMoves, world: WorldConfig | None = None
+    velocities: Float[Array, "robots 2 *batch"], observation: Any, slow: SlowMoves, world: WorldConfig
 ) -> Float[Array, "robots 2 *batch"]:
     """Returns velocities of which those whose length is less than `slow.least_speed` are exactly 0.
 

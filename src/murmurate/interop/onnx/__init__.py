@@ -231,7 +231,7 @@ def _velocities(run: Run, index: int, positions: np.ndarray) -> np.ndarray:
     policy, shield, world = run.cascade.policies[index], run.experiment.prepared_shield, run.experiment.world
     slow = run.experiment.slow_moves
     seen = jnp.moveaxis(jnp.asarray(positions), 0, -1)
-    velocities = jax.jit(lambda seen: shield(apply_dead_zone(policy(seen), seen, slow), seen, world))(seen)
+    velocities = jax.jit(lambda seen: shield(apply_dead_zone(policy(seen), seen, slow, world), seen, world))(seen)
     return np.moveaxis(np.asarray(velocities), -1, 0).clip(-world.max_speed, world.max_speed)
 
 

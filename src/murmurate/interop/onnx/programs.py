@@ -234,7 +234,7 @@ def _shielded(
     run: Run, policy: Any, positions: Float[Array, "robots 2 batch"], world: WorldConfig
 ) -> Float[Array, "robots 2 batch"]:
     """Returns the velocities of a policy as they are executed: after dead zone and shield, within the speed limit."""
-    wanted = apply_dead_zone(policy(positions), positions, run.experiment.slow_moves)
+    wanted = apply_dead_zone(policy(positions), positions, run.experiment.slow_moves, world)
     velocities = run.experiment.prepared_shield(wanted, positions, world)
     return jnp.clip(velocities, -world.max_speed, world.max_speed)
 
