@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -42,6 +43,11 @@ def look(positions, seed=0, **fields):
     sensing = sensing_of(**fields)
     world = WorldConfig(robots=positions.shape[0], half_width=X, half_height=Y, radius=R, scan_radius=SCAN)
     keys = jax.random.split(jax.random.key(seed), positions.shape[-1])
+    return _look(sensing, positions, keys, world)
+
+
+@eqx.filter_jit
+def _look(sensing, positions, keys, world):
     frames = sensing.draw_frames(keys, positions.shape[0])
     return frames, sensing.view(positions, frames, keys, world)
 
