@@ -52,9 +52,11 @@ class RestRule:
         if not 0 <= self.dead_zone < 1:
             allowed = "a number >= 0 and less than 1: at 1 no robot would ever move along an axis"
             raise InputError("dead_zone", self.dead_zone, allowed)
-        check_number("damping", self.damping, 0, 1)
-        if self.damping and (self.damping == 1 or not self.dead_zone):
-            raise InputError("damping", self.damping, "less than 1, and 0 where dead_zone is 0: nobody would stop")
+        check_number("damping", self.damping)
+        if not 0 <= self.damping < 1:
+            raise InputError("damping", self.damping, "a number >= 0 and less than 1")
+        if self.damping and not self.dead_zone:
+            raise InputError("damping", self.damping, "0 where dead_zone is 0: robots would creep and never stop")
         check_number("sidestep", self.sidestep, 0, 1)
         if self.sidestep and not 0 < self.dead_zone <= self.sidestep:
             allowed = f"0, or at least dead_zone ({self.dead_zone:g}), which must not be 0: no robot would stand still"
