@@ -432,7 +432,7 @@ def _step_apart(view: View, slow: SlowMoves, world: WorldConfig) -> Float[Array,
     weight = missing / jnp.where(length > 0, length, 1.0)
     away = -jnp.stack([jnp.sum(weight * axis, axis=1) for axis in (view.x, view.y)], axis=1)
     size = jnp.sqrt(jnp.sum(away**2, axis=1, keepdims=True))
-    # The maximum of no robots is not defined. A little more than half: the rounding of a half could leave them too near.
+    # The maximum of no robots is not defined. A little more than half: rounding a half could leave them too near.
     nobody = jnp.zeros_like(view.radius[:, None])
     most = jnp.max(jnp.concatenate([missing, nobody], axis=1), axis=1, keepdims=True)
     speed = jnp.clip(0.51 * most, slow.least_speed, slow.sidestep)
