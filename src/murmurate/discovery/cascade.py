@@ -129,7 +129,7 @@ class Cascade(eqx.Module):
         check_function("on_chunk", on_chunk, "on_chunk(steps, max_steps, ended)")
         starts = np.asarray(starts, np.float32)
         episodes, size = len(starts), episodes_at_once(starts.shape[1])
-        keys = np.asarray(_episode_key_data(jnp.asarray(seed, jnp.uint32), episodes))
+        keys = np.asarray(_episode_key_data(jax.device_put(np.uint32(seed)), episodes))
         firsts = range(0, episodes, size)
         max_steps = self.rest.max_steps * len(self.policies) * len(firsts)
         most = MAX_RECORD_BYTES // starts.nbytes
@@ -165,8 +165,8 @@ class Cascade(eqx.Module):
         """
         episodes, robots, _ = starts.shape
         chosen = np.where(np.arange(size) < episodes, np.arange(size), 0)
-        positions = _committed(jnp.asarray(np.moveaxis(starts[chosen], 0, -1)))
-        status, first = _begin(self, positions, jnp.asarray(keys[chosen]), jnp.asarray(episodes, jnp.int32))
+        positions = jax.device_put(np.moveaxis(starts[chosen], 0, -1), _device())
+        status, first = _begin(self, positions, *jax.device_put((keys[chosen], np.int32(episodes))))
         parts = [jax.device_get(first)]
         chunk = max(2, min(CHUNK, CHUNK_TRIPLES // (size * robots**3)))
         moving = episodes
@@ -174,7 +174,7 @@ class Cascade(eqx.Module):
             status, part = _advance(self, status, chunk)
             parts.append(jax.device_get(part))
             moving = int(np.count_nonzero(status.moving()))
-            report(int(status.length.max()), episodes - moving)
+            report(int(np.asarray(status.length).max()), episodes - moving)
         after_rest = self._watch(status, chunk, most)[:episodes]
         lengths = np.asarray(status.length)[:episodes]
         recorded = int(lengths.max()) + 1
@@ -247,7 +247,11 @@ def _committed(tree: Any) -> Any:
     compile a program for each.
     """
     arrays, others = eqx.partition(tree, eqx.is_array)
-    return eqx.combine(jax.device_put(arrays, jnp.zeros(()).sharding), others)
+    return eqx.combine(jax.device_put(arrays, _device()), others)
+
+
+def _device() -> jax.sharding.Sharding:
+    return jnp.zeros(()).sharding
 
 
 @eqx.filter_jit

@@ -21,7 +21,6 @@ from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple, TypeVar
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import safetensors
 import safetensors.numpy
@@ -562,7 +561,7 @@ def _fit(arrays: Mapping[str, np.ndarray], template: T, source: str) -> T:
             have, want = (f"{x.dtype}{list(x.shape)}" for x in (array, leaf))
             raise RunError(f"{source} has {name!r} as {have}, but {want} is needed")
         # An array of the library that the template's leaf belongs to.
-        leaves.append(array.copy() if isinstance(leaf, np.ndarray) else jnp.array(array))
+        leaves.append(array.copy() if isinstance(leaf, np.ndarray) else jax.device_put(array))
     return jax.tree_util.tree_unflatten(jax.tree_util.tree_structure(template), leaves)
 
 

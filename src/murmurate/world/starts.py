@@ -7,6 +7,7 @@ redrawn: a robot that touches a robot of lower number is drawn again, until none
 
 from __future__ import annotations
 
+import functools
 import math
 import operator
 from abc import abstractmethod
@@ -427,8 +428,17 @@ def check_start(start: Start, world: WorldConfig) -> Start:
         raise InputError("world.robots", world.robots, f"at most {limit}: memory holds no more pairs of them")
     prepared = start.prepare(world)
     try:
+        _try_once(prepared, world)
+    except TypeError:  # a start that holds arrays, which have no hash
+        _try(prepared, world)
+    return prepared
+
+
+def _try(start: Start, world: WorldConfig) -> None:
+    """Draws from a prepared start; see `check_start`."""
+    try:
         # The key is made inside: nothing is computed for a start that surely fits, and JAX is not started.
-        sampled = eqx.filter_eval_shape(lambda: prepared.sample(prng.key(0), TRIALS, world))
+        sampled = eqx.filter_eval_shape(lambda: start.sample(prng.key(0), TRIALS, world))
     except InputError:
         raise
     except Exception as error:  # a user's start may raise anything
@@ -438,17 +448,20 @@ def check_start(start: Start, world: WorldConfig) -> Start:
     if (shape, dtype) != (wanted, jnp.float32):
         returned = f"{dtype}{list(shape)}" if shape is not None else type(sampled).__name__
         raise InputError("start", start.name, f"a start whose sample returns float32{list(wanted)}, not {returned}")
-    if _surely_fits(prepared, world):
-        return prepared
+    if _surely_fits(start, world):
+        return
     for count in (1, TRIALS):  # one first: where none fits, the search for each of them takes long
-        points = draw_starts(prepared, prng.key(0), count, world)
+        points = draw_starts(start, prng.key(0), count, world)
         if not np.isfinite(points).all():
             raise InputError("start", start.name, "a start of finite numbers")
         if (np.abs(points) > world.bounds).any():
             raise InputError("start", start.name, f"inside |x| <= {world.half_width:g}, |y| <= {world.half_height:g}")
         if (_batch_last.clearances(np.moveaxis(points, 0, -1), world.radius) <= 0).any():
             raise does_not_fit(world, f"the {start.name} start without overlap")
-    return prepared
+
+
+# A process that opens many runs, or trains many seeds, meets the same starts in the same worlds again and again.
+_try_once = functools.lru_cache(maxsize=256)(_try)
 
 
 def does_not_fit(world: WorldConfig, what: str) -> InputError:
