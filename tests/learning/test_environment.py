@@ -5,9 +5,11 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from probes import Line, clock, fresh, linear
 
 from murmurate.learning import collect, step_with_autoreset
+from murmurate.learning.environment import MAX_DRAWN
 from murmurate.world import ActionRepeat
 
 restart = jax.jit(step_with_autoreset)
@@ -38,6 +40,21 @@ def test_every_start_is_fresh():
             starts.append(state[0])
     assert len(starts) == 5
     assert len(np.unique(np.stack(starts))) == 5 * 8
+
+
+@pytest.mark.parametrize("share", [0.0, 0.01, 0.5, 1.0])
+def test_of_a_large_batch_only_episodes_that_ended_begin_anew(share):
+    """However many end, each begins at a start of its own, though few are drawn at once."""
+    batch = 3 * MAX_DRAWN + 5
+    env = Line(jnp.asarray(5))
+    ends = np.random.default_rng(0).permutation(batch) < share * batch
+    ages = jnp.where(ends, 4, 1)
+    (x, age), transition, last = restart(env, (jnp.zeros(batch), ages), jnp.ones((1, batch)), jax.random.key(0))
+    np.testing.assert_array_equal(transition.truncated, ends)
+    np.testing.assert_array_equal(age, np.where(ends, 0, 2))
+    np.testing.assert_allclose(last, 0.25, err_msg="the true last observation")
+    np.testing.assert_allclose(x[~ends], 0.25)
+    assert len(np.unique(x[ends])) == ends.sum()
 
 
 def test_nothing_restarts_while_nobody_ends():

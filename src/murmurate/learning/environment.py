@@ -10,6 +10,10 @@ from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 __all__ = ["ActionDistribution", "Environment", "Policy", "Transition", "Value", "step_with_autoreset"]
 
+MAX_DRAWN = 256
+"""Most starts that are drawn at once. Of a larger batch few episodes end at the same step: for these it would be a
+waste to draw as many starts as there are episodes."""
+
 
 @runtime_checkable
 class Transition(Protocol):
@@ -109,10 +113,24 @@ def step_with_autoreset(env: Environment, state: Any, action: Any, key: PRNGKeyA
     """
     after, transition = env.step(state, action)
     done = transition.terminated | transition.truncated
+    batch = done.shape[0]
 
-    # New starts are drawn for the whole batch, so only at steps where an episode ended.
     def reset(after: Any) -> Any:
-        fresh = env.reset_batch(key, done.shape[0])
+        fresh = env.reset_batch(key, batch)
         return jax.tree.map(lambda new, old: jnp.where(done, new, old), fresh, after)
 
-    return jax.lax.cond(jnp.any(done), reset, lambda after: after, after), transition, env.observe(after)
+    def reset_some(carry: tuple[Any, Bool[Array, " batch"], PRNGKeyArray]) -> tuple[Any, Array, PRNGKeyArray]:
+        state, ended, key = carry
+        key, draw_key = jax.random.split(key)
+        fresh = env.reset_batch(draw_key, MAX_DRAWN)
+        place = jnp.cumsum(ended) - 1
+        begins = ended & (place < MAX_DRAWN)
+        place = jnp.where(begins, place, 0)
+        state = jax.tree.map(lambda new, old: jnp.where(begins, new[..., place], old), fresh, state)
+        return state, ended & ~begins, key
+
+    if batch <= MAX_DRAWN:
+        state = jax.lax.cond(jnp.any(done), reset, lambda after: after, after)
+    else:
+        state, _, _ = jax.lax.while_loop(lambda carry: jnp.any(carry[1]), reset_some, (after, done, key))
+    return state, transition, env.observe(after)
