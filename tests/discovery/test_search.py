@@ -17,7 +17,7 @@ from murmurate.errors import InputError
 from murmurate.geometry import clearances, neighbors
 from murmurate.learning import PPOConfig, ppo
 from murmurate.policies import CentralPolicy
-from murmurate.world import FileStart, ScatteredStart, WorldConfig, draw_starts
+from murmurate.world import FileStart, ScatteredStart, SurroundedStart, WorldConfig, draw_starts
 
 SIGMA, CHUNK, UPDATES = 12, 2, 4
 PPO = PPOConfig(updates=UPDATES, worlds=8, steps=4, minibatches=2, epochs=1)
@@ -283,6 +283,15 @@ def test_a_hard_share_begins_crowded_or_at_walls_and_only_the_base():
     assert auxiliary.start.share == 0
 
 
+def test_a_surrounded_share_begins_in_rings_and_only_the_base():
+    problem = replace(PROBLEM, base=replace(BASE, surrounded_share=0.5, random_share=0.0))
+    search = Search(problem)
+    snapshot = search.begin()
+    base, auxiliary = (training_world(problem, index, search.world.start, snapshot.sigma) for index in range(2))
+    assert isinstance(base.start.second, SurroundedStart)
+    assert (float(base.start.share), auxiliary.start.share) == (0.5, 0)
+
+
 def test_a_hard_share_needs_room_for_hard_starts(tmp_path):
     with pytest.raises(InputError, match="few enough to fit the cluster start"):
         Search(crowd(tmp_path, random_share=0.0, hard_share=0.5))
@@ -298,6 +307,7 @@ def test_a_hard_share_needs_room_for_hard_starts(tmp_path):
         {"random_spread": 0.0},
         {"symmetric_share": -0.1},
         {"hard_share": 1.1},
+        {"surrounded_share": -1.0},
     ],
 )
 def test_no_such_stage(fields):

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial import ConvexHull
 
 from murmurate.errors import InputError
 from murmurate.geometry._batch_last import clearances, distances
@@ -15,6 +16,7 @@ from murmurate.world import (
     CornerStart,
     HardStart,
     Start,
+    SurroundedStart,
     TightGridStart,
     WallsStart,
     WallStart,
@@ -30,6 +32,7 @@ FAMILIES = {
     "wall": WallStart,
     "walls": WallsStart,
     "tight-grid": TightGridStart,
+    "surrounded": SurroundedStart,
 }
 SIZES = (2, 3, 8, 33, 128)
 BATCH = 64
@@ -91,6 +94,18 @@ def test_a_cluster_is_tight_and_anywhere(robots):
     middle = points.mean(axis=1) / world.bounds
     assert (np.abs(np.quantile(middle, [0.1, 0.9], axis=0)) > 0.4).all(), "placed all over the world"
     assert len(np.unique(points, axis=0)) == BATCH
+
+
+@pytest.mark.parametrize("robots", [4, 8, 16])
+def test_a_ring_surrounds_one_robot_or_a_few(robots):
+    points = draw(SurroundedStart(), 3, world_of(robots))
+    # A robot inside of a ring is no corner of the convex hull; nor are some of those on the ring, once they are moved.
+    inside = np.array([robots - len(ConvexHull(each).vertices) for each in points])
+    assert (inside >= 1).all()
+    assert (inside == 1).mean() > 0.4
+    assert (inside > 1).mean() > 0.15 or robots == 4
+    middle = points.mean(axis=1) / world_of(robots).bounds
+    assert (np.abs(np.quantile(middle, [0.1, 0.9], axis=0)) > 0.4).all(), "placed all over the world"
 
 
 @pytest.mark.parametrize("robots", SIZES)
@@ -208,6 +223,8 @@ def test_a_world_without_room_is_refused_in_one_line(family):
         ("wall", "max_spacing", float("inf")),
         ("wall", "max_gap", -0.1),
         ("walls", "max_gap", -1.0),
+        ("surrounded", "min_spacing", 1.0),
+        ("surrounded", "max_spacing", 1.0),
     ],
 )
 def test_no_such_start(family, field, value):
@@ -221,7 +238,7 @@ def test_double_precision_places_robots_alike(family):
     world = world_of(8)
     start = FAMILIES[family]()
     numbers = start.uniforms(jax.random.key(3), BATCH, 8)
-    single = np.asarray(start.place(numbers, world))
+    single = np.asarray(jax.jit(lambda numbers: start.place(numbers, world))(numbers))
     double = start.place(tuple(np.asarray(array, float) for array in numbers), world)
     assert double.dtype == float
     np.testing.assert_allclose(double, single, atol=2e-4)

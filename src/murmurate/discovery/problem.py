@@ -59,6 +59,8 @@ class StageConfig:
             of random width and direction (base only).
         hard_share: Share of all training episodes that begin at the start `hard`: crowded, at the walls, in a corner,
             in a tight grid, exactly symmetric or anywhere (base only).
+        surrounded_share: Share of all training episodes that begin at the start `surrounded`: a ring of robots around
+            one robot or a few (base only).
         motion_cost: What each robot's credit loses in training for a step at the speed limit along an axis, and for a
             shorter one in proportion; where the swarm learns from one credit, that loses the mean.
         margin: Robots are trained as if their radius and safe distance were larger by this share, so that patterns hold
@@ -78,6 +80,7 @@ class StageConfig:
     random_spread: float = 0.05
     symmetric_share: float = 0.0
     hard_share: float = 0.0
+    surrounded_share: float = 0.0
     motion_cost: float = 0.0
     margin: float = 0.0
     warm_start: bool = False
@@ -96,6 +99,7 @@ class StageConfig:
         check_number("random_share", self.random_share, 0, 1)
         check_number("symmetric_share", self.symmetric_share, 0, 1)
         check_number("hard_share", self.hard_share, 0, 1)
+        check_number("surrounded_share", self.surrounded_share, 0, 1)
         check_number("random_spread", self.random_spread, 0, 1, exclusive_low=True)
 
     @property

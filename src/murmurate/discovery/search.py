@@ -20,7 +20,16 @@ from murmurate.discovery.stage import Stage, draw_key, policy_name, repeat_to, t
 from murmurate.discovery.validity import check_validity
 from murmurate.learning import TrainState, check_divides, sharding, train_together
 from murmurate.representation import short_repr
-from murmurate.world import HardStart, JitteredStart, SymmetricStart, UniformStart, World, check_start, draw_starts
+from murmurate.world import (
+    HardStart,
+    JitteredStart,
+    SurroundedStart,
+    SymmetricStart,
+    UniformStart,
+    World,
+    check_start,
+    draw_starts,
+)
 
 __all__ = ["Search", "Snapshot", "advance_together"]
 
@@ -80,6 +89,8 @@ class Search:
                 check_start(SymmetricStart(), part.world)
             if problem.base.hard_share:
                 check_start(HardStart(), part.world)
+            if problem.base.surrounded_share:
+                check_start(SurroundedStart(), part.world)
 
     @cached_property
     def part_worlds(self) -> tuple[World, ...]:

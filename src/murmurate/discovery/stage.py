@@ -25,6 +25,7 @@ from murmurate.world import (
     MotionCost,
     ShortfallReward,
     Start,
+    SurroundedStart,
     SymmetricStart,
     UniformStart,
     World,
@@ -97,6 +98,8 @@ def _training_start(problem: Problem, index: int, start: Start, sigma: Float[Arr
         start = MixtureStart(start, SymmetricStart(), stage.symmetric_share if is_base else 0.0)
     if problem.base.hard_share:
         start = MixtureStart(start, HardStart(), stage.hard_share if is_base else 0.0)
+    if problem.base.surrounded_share:
+        start = MixtureStart(start, SurroundedStart(), stage.surrounded_share if is_base else 0.0)
     return start
 
 

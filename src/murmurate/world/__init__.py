@@ -17,7 +17,15 @@ from murmurate.world.env import (
     Wrapper,
     apply_dead_zone,
 )
-from murmurate.world.hard_starts import ClusterStart, CornerStart, HardStart, TightGridStart, WallsStart, WallStart
+from murmurate.world.hard_starts import (
+    ClusterStart,
+    CornerStart,
+    HardStart,
+    SurroundedStart,
+    TightGridStart,
+    WallsStart,
+    WallStart,
+)
 from murmurate.world.scheduling import (
     Activation,
     AsyncScheduler,
@@ -90,6 +98,7 @@ __all__ = [
     "SsyncScheduler",
     "Start",
     "State",
+    "SurroundedStart",
     "SymmetricStart",
     "TightGridStart",
     "Transition",

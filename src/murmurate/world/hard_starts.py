@@ -31,7 +31,7 @@ from murmurate.world.starts import (
 )
 from murmurate.world.symmetric_starts import ComputedStart, SymmetricStart, namespace
 
-__all__ = ["ClusterStart", "CornerStart", "HardStart", "TightGridStart", "WallStart", "WallsStart"]
+__all__ = ["ClusterStart", "CornerStart", "HardStart", "SurroundedStart", "TightGridStart", "WallStart", "WallsStart"]
 
 EPSILON = float(np.finfo(np.float32).eps)
 
@@ -304,6 +304,92 @@ class WallsStart(Start):
             return jnp.stack([x, y], axis=1)
 
         return jnp.moveaxis(redraw_overlaps_batch_last(key, propose, world.radius), -1, 0)
+
+
+@Start.register("surrounded")
+class SurroundedStart(ComputedStart):
+    """A ring of robots around one robot or a few, anywhere in the world.
+
+    Whoever is in the middle of a ring hides robots on opposite sides of it from each other, and has to find the way out
+    between two of them. Of the robots, one is inside in 65% of the configurations, two in 25%, and a quarter of all in
+    10%; one where there is no room for more. Those inside are at the middle or anywhere else inside. The ring is
+    regular, or its robots are moved at random.
+
+    Attributes:
+        min_spacing: Least distance between the centres of neighbours, in robot diameters.
+        max_spacing: Greatest distance between neighbours on the ring, in robot diameters, where the world is wide
+            enough.
+    """
+
+    min_spacing: float = 1.1
+    max_spacing: float = 3.2
+
+    def __check_init__(self) -> None:
+        check_number("min_spacing", self.min_spacing, 1 + CLEARANCE, MAX_INTEGER)
+        check_number("max_spacing", self.max_spacing, self.min_spacing, MAX_INTEGER)
+
+    def prepare(self, world: WorldConfig) -> Start:
+        """Checks that there is room for the tightest ring around one robot."""
+        least = self.min_spacing * 2 * world.radius
+        if max(_ring_radius(least, world.robots - 1, np), least) > min(world.half_width, world.half_height):
+            raise does_not_fit(world, f"the {self.name} start")
+        return self
+
+    def uniforms(self, key: PRNGKeyArray, batch: int, robots: int) -> tuple[Array, ...]:
+        """Draws ten numbers from 0 to 1 for each configuration, and two more for each robot."""
+        shared, each = jax.random.split(key)
+        return (
+            jax.random.uniform(shared, (10, batch), jnp.float32),
+            jax.random.uniform(each, (batch, robots, 2), jnp.float32),
+        )
+
+    def place(self, numbers: tuple[Any, ...], world: WorldConfig) -> Any:
+        """Places some robots on a ring, the others on a smaller one anywhere inside of it."""
+        shared, each = numbers
+        xp, bounds, robots = namespace(shared), _bounds(shared, world), world.robots
+        several, space, turn, inner_turn, loose, off, towards, centred = shared[:8]
+        least = self.min_spacing * 2 * world.radius
+        spacing = least + (self.max_spacing - self.min_spacing) * 2 * world.radius * space
+
+        wanted = xp.where(several < 0.65, 1, xp.where(several < 0.9, 2, max(robots // 4, 1)))
+        widest = xp.minimum(_ring_radius(spacing, robots - wanted, xp), bounds.min())
+        fits = (robots - wanted >= 3) & (widest > least + _ring_radius(least, wanted, xp))
+        inside = xp.where(fits, wanted, 1)
+        outside = robots - inside
+        radius = xp.minimum(_ring_radius(spacing, outside, xp), bounds.min())
+        radius = xp.maximum(xp.maximum(radius, _ring_radius(least, outside, xp)), least)
+        inner_radius = xp.where(inside > 1, _ring_radius(least, inside, xp), 0.0)
+
+        # The moves of those on the ring and of those inside share what keeps them apart.
+        touch = (1 + CLEARANCE) * 2 * world.radius
+        room = xp.maximum(radius - inner_radius - touch, 0)
+        along = xp.where(outside > 1, 2 * radius * xp.sin(math.pi / outside) - touch, room)
+        jitter = 0.35 * loose * xp.maximum(xp.minimum(xp.minimum(room, along), bounds.min() - radius), 0)
+        distance = (room - jitter) * xp.sqrt(off) * xp.where(centred < 0.3, 0.15, 1.0)
+
+        index, is_inside = xp.arange(robots), xp.arange(robots) < inside[:, None]
+        share = xp.where(is_inside, index / inside[:, None], (index - inside[:, None]) / outside[:, None])
+        angle = 2 * math.pi * (share + xp.where(is_inside, inner_turn[:, None], turn[:, None]))
+        points = xp.where(is_inside, inner_radius[:, None], radius[:, None])[..., None] * _unit(angle)
+        moved = xp.where(
+            is_inside[..., None],
+            distance[:, None, None] * _unit(2 * math.pi * towards)[:, None],
+            math.sqrt(0.5) * jitter[:, None, None] * (2 * each - 1),
+        )
+        points = points + moved
+        low, high = -bounds - points.min(axis=1), bounds - points.max(axis=1)
+        points = points + (low + (high - low) * xp.stack([shared[8], shared[9]], axis=1))[:, None]
+        return xp.clip(points, -bounds, bounds)
+
+
+def _ring_radius(spacing: Any, robots: Any, xp: Any) -> Any:
+    """Returns the radius of a ring of robots with a spacing; of one robot alone, the spacing."""
+    return spacing / xp.where(robots > 1, 2 * xp.sin(math.pi / xp.maximum(robots, 2)), 1.0)
+
+
+def _unit(angle: Any) -> Any:
+    xp = namespace(angle)
+    return xp.stack([xp.cos(angle), xp.sin(angle)], axis=-1)
 
 
 @Start.register("hard")
