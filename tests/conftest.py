@@ -91,7 +91,7 @@ def numerics(request):
 
 @pytest.fixture(scope="module", autouse=True)
 def small_pictures(request):
-    """Writes figures in few pixels where what they show is not the question."""
+    """Writes figures in few pixels, and animations of few frames, where what they show is not the question."""
     shown = {"plots", "report", "test_docs_figures.py"} & {request.path.parent.name, request.path.name}
     with contextlib.nullcontext() if shown else few_pixels():
         yield
@@ -99,12 +99,13 @@ def small_pictures(request):
 
 @contextlib.contextmanager
 def few_pixels():
-    """Writes figures in few pixels."""
-    from murmurate.plots import style
+    """Writes figures in few pixels, and animations of few frames."""
+    from murmurate.plots import animation, style
 
-    png = style.png
+    png, times = style.png, animation._times
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(style, "png", lambda figure, dpi: png(figure, min(dpi, 40)))
+        patch.setattr(animation, "_times", lambda steps, fps: times(steps, 1))
         yield
 
 
@@ -124,7 +125,7 @@ def unchecked(request):
 def _small_process():
     """Forgets compiled programs after a file, once they take much of the machine: they can be read from the cache."""
     yield
-    if _resident_bytes() > 2 << 30 or _memory_maps() > MAX_MEMORY_MAPS / 2:
+    if _takes_much():
         jax.clear_caches()
         gc.collect()
         with contextlib.suppress(AttributeError, OSError):  # a C library other than glibc
@@ -135,18 +136,14 @@ MAX_MEMORY_MAPS = 65530
 """Linux's usual limit for a process, /proc/sys/vm/max_map_count: every compiled program takes some."""
 
 
-def _resident_bytes():
+def _takes_much():
+    """Returns whether this process takes a sixth of the machine's memory: there are two, which start others."""
     try:
-        return int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1]) * os.sysconf("SC_PAGE_SIZE")
+        pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+        maps = Path("/proc/self/maps").read_bytes().count(b"\n")
     except OSError:  # not Linux
-        return 0
-
-
-def _memory_maps():
-    try:
-        return Path("/proc/self/maps").read_bytes().count(b"\n")
-    except OSError:  # not Linux
-        return 0
+        return False
+    return pages > os.sysconf("SC_PHYS_PAGES") / 6 or maps > MAX_MEMORY_MAPS / 2
 
 
 @pytest.fixture(scope="session")

@@ -17,7 +17,7 @@ from jax import export
 
 __all__ = ["CHECKED_CALLS", "begin_test", "check_types", "install"]
 
-CHECKED_CALLS = 10
+CHECKED_CALLS = 5
 """Calls of one function in one test whose types are checked: a loop says after a few what it says after a million."""
 
 _Symbol = type(export.symbolic_shape("robots")[0])

@@ -20,7 +20,7 @@ def scattered(seed, robots=8, side=30.0):
 
 
 @pytest.mark.parametrize("objective", ["C1", "C2"])
-@pytest.mark.parametrize("seed", [0, 1, 2, *(pytest.param(seed, marks=pytest.mark.nightly) for seed in (3, 4, 5))])
+@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.nightly) for seed in (2, 3, 4, 5))])
 def test_it_gives_nothing_up(objective, seed):
     target = Target(WORLD, objective)
     before = scattered(seed)

@@ -46,7 +46,7 @@ def test_how_much_is_missing_is_in_percent_of_the_best_known(capsys):
 
 
 def test_where_no_pattern_is_valid_it_says_so(capsys):
-    arguments = ["optimum", "C", "--world.robots", "5", "--world.scan_radius", "6", *SHORT, "--hops", "1"]
+    arguments = ["optimum", "C", "--world.robots", "4", "--world.scan_radius", "6", *SHORT, "--hops", "1"]
     assert main(arguments) == 3
     assert "No valid pattern was found" in capsys.readouterr().out
 

@@ -104,33 +104,32 @@ def test_unknown_weights_list_the_known_ones(choice, line):
 
 def test_a_size_beyond_training_warns_once_and_goes_on():
     run = murmurate.pretrained()
-    with pytest.warns(BeyondTrainingWarning, match="robots = 25: trained were swarms of 3 to 24"):
-        larger = run.of_size(25)
-    larger = larger.under(replace(larger.experiment, rest=replace(larger.experiment.rest, max_steps=20)))
+    with pytest.warns(BeyondTrainingWarning, match="robots = 2: trained were swarms of 3 to 24"):
+        other = run.of_size(2)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert larger.rollout(1).positions.shape[2] == 25
+        assert other.rollout(1).positions.shape[2] == 2
         run.of_size(9)
 
 
 def test_the_command_line_warns_in_one_line(tmp_path, capsys):
-    arguments = ["compare", "--methods", "learned", "--robots", "25", "--episodes", "1", "--out", str(tmp_path / "out")]
+    arguments = ["compare", "--methods", "learned", "--robots", "2", "--episodes", "1", "--out", str(tmp_path / "out")]
     assert main([*arguments, "--quiet"]) == 0
     assert (
         capsys.readouterr().err
-        == "murmurate: warning: robots = 25: trained were swarms of 3 to 24; others may do worse\n"
+        == "murmurate: warning: robots = 2: trained were swarms of 3 to 24; others may do worse\n"
     )
 
 
 def test_show_needs_no_run(tmp_path, capsys):
     out = tmp_path / "shown"
-    assert main(["show", "--robots", "5", "--start", "scattered", "--scheduler", "ssync", "--out", str(out)]) == 0
-    assert "5 robots, 32 starts: " in capsys.readouterr().out
+    assert main(["show", "--robots", "3", "--start", "scattered", "--scheduler", "ssync", "--out", str(out)]) == 0
+    assert "3 robots, 32 starts: " in capsys.readouterr().out
     assert {"experiment.toml", "manifest.json", "evaluation.json", "figures"} <= {path.name for path in out.iterdir()}
     assert {path.name for path in (out / "figures").iterdir()} == {"discovery.png", "discovery.gif"}
     again = murmurate.load(out)
-    assert (again.experiment.world.robots, again.experiment.start.name) == (5, "scattered")
-    refused(capsys, ["show", "--robots", "5", "--out", out], "holds another run")
+    assert (again.experiment.world.robots, again.experiment.start.name) == (3, "scattered")
+    refused(capsys, ["show", "--robots", "3", "--out", out], "holds another run")
 
 
 def test_show_writes_the_animation_alone(tmp_path, monkeypatch, capsys):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from itertools import permutations
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from hypothesis import strategies as st
 
 from murmurate.discovery import Trajectories, bound_steps, check_validity
 from murmurate.errors import InputError
-from murmurate.world import Signal, UniformStart, World, WorldConfig, scaled_to
+from murmurate.world import Signal, UniformStart, World, WorldConfig, scaled_to, with_array_leaves
 from murmurate.world.start_files import check_configurations
 
 WORLD = WorldConfig(robots=6, half_width=35.0, half_height=35.0, scan_radius=30.0, safe_distance=5.0)
@@ -138,6 +139,8 @@ def test_a_robot_that_stays_on_a_wall_is_inside(robots):
     assert (float(sides) > world.half_width) == (robots == 24)
     assert float(sides) != world.half_width
     line = np.linspace(-world.half_width, world.half_width, robots)
+    step = jax.jit(lambda world, positions: world.step(world.state(positions), jnp.zeros((robots, 2))))
+    stepping = with_array_leaves(World.create(world, UniformStart()))
     on_walls = np.stack([line, np.where(np.arange(robots) % 2, world.half_height, -world.half_height)], axis=1)
     for beyond in (False, True):
         positions = on_walls.astype(np.float32)
@@ -147,8 +150,7 @@ def test_a_robot_that_stays_on_a_wall_is_inside(robots):
         trajectories = Trajectories(
             np.stack([positions] * 2)[None], steps, np.zeros((1, 0), int), rest, ~rest, {}, steps
         )
-        stepping = World.create(world, UniformStart())
-        _, transition = stepping.step(stepping.state(jnp.asarray(positions)), jnp.zeros((robots, 2)))
+        _, transition = step(stepping, jnp.asarray(positions))
         assert check_validity(trajectories, world).inside[0] == (not beyond)
         assert bool(transition.terminated) == beyond
         if beyond:

@@ -19,7 +19,7 @@ def test_all_terms_are_summed_and_have_a_gradient(count):
         return first.sum() + second.sum()
 
     terms = jnp.asarray(TERMS, jnp.float32)
-    value, slope = jax.value_and_grad(total)(terms)
+    value, slope = jax.jit(jax.value_and_grad(total))(terms)
     np.testing.assert_allclose(value, (TERMS[:count] + TERMS[:count] ** 2).sum(), rtol=1e-5)
     np.testing.assert_allclose(slope[:count], 1 + 2 * TERMS[:count], rtol=1e-5)
     assert not np.asarray(slope[count:]).any()
@@ -46,8 +46,8 @@ def test_the_gradient_of_a_sum_over_third_robots_is_that_of_the_same_sum_written
         return sum((weight * part).sum() for weight, part in zip(weights, sums(arrays), strict=True))
 
     kernel = lambda arrays: sum_over_third_robots(pair_terms, arrays)  # noqa: E731
-    for mine, expected in zip(kernel(arrays), at_once(arrays), strict=True):
+    for mine, expected in zip(jax.jit(kernel)(arrays), jax.jit(at_once)(arrays), strict=True):
         np.testing.assert_allclose(mine, expected, rtol=1e-5, atol=1e-5)
-    slopes, expected = (jax.grad(lambda a, sums=sums: total(sums, a))(arrays) for sums in (kernel, at_once))
+    slopes, expected = (jax.jit(jax.grad(lambda a, sums=sums: total(sums, a)))(arrays) for sums in (kernel, at_once))
     for mine, right in zip(slopes, expected, strict=True):
         np.testing.assert_allclose(mine, right, rtol=1e-4, atol=1e-4)

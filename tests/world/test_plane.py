@@ -50,8 +50,9 @@ def test_only_a_world_with_walls_is_left(config, ends):
 
 def test_contact_ends_an_episode_there_too():
     together = jnp.asarray([[-1.5, 0.0], [1.5, 0.0], [0.0, 9.0]])[:, :, None]
-    state = world(PLANE).state(together)
-    _, transition = world(PLANE).step(state, jnp.asarray([[0.9, 0.0], [-0.9, 0.0], [0.0, 0.0]])[:, :, None])
+    velocities = jnp.asarray([[0.9, 0.0], [-0.9, 0.0], [0.0, 0.0]])[:, :, None]
+    plane = world(PLANE)
+    _, transition = jax.jit(lambda: plane.step(plane.state(together), velocities))()
     assert transition.terminated.tolist() == [True]
 
 

@@ -88,10 +88,11 @@ def recounted(looked):
 
 def test_all_at_every_step_is_what_the_world_itself_does():
     plain, env = world(), SchedulerWrapper(world(), scheduler_of())
-    state, same = env.state(jnp.asarray(PLACES)), plain.state(jnp.asarray(PLACES))
+    advance = jax.jit(lambda state, same, velocities: (env.step(state, velocities), plain.step(same, velocities)))
+    state, same = jax.jit(lambda: (env.state(jnp.asarray(PLACES)), plain.state(jnp.asarray(PLACES))))()
     for step in range(5):
         velocities = jnp.asarray(3 * np.random.default_rng(step).normal(size=(ROBOTS, 2)), jnp.float32)
-        (state, a), (same, b) = env.step(state, velocities), plain.step(same, velocities)
+        (state, a), (same, b) = advance(state, same, velocities)
         assert (np.asarray(state.positions) == np.asarray(same.positions)).all()
         assert float(a.reward) == float(b.reward)
     assert int(state.epochs) == int(same.epochs) == 5
@@ -212,14 +213,14 @@ def test_an_adversary_does_worse_than_chance_and_is_as_fair():
 def test_those_who_stand_still_collide_too():
     config = WorldConfig(robots=2, half_width=20, half_height=20)
     env = SchedulerWrapper(world(config), scheduler_of(use="ssync", activation_probability=0.0, fairness_bound=100))
-    state = env.state(jnp.asarray([[-1.3, 0.0], [1.3, 0.0]]))
-    _, transition = env.step(state, jnp.asarray([[1.0, 0.0], [-1.0, 0.0]]))
+    places, velocities = jnp.asarray([[-1.3, 0.0], [1.3, 0.0]]), jnp.asarray([[1.0, 0.0], [-1.0, 0.0]])
+    _, transition = jax.jit(lambda: env.step(env.state(places), velocities))()
     assert bool(transition.terminated)
 
 
 def test_not_a_number_ends_the_episode():
     env = SchedulerWrapper(world(), scheduler_of(rigid=False))
-    _, transition = env.step(env.state(jnp.asarray(PLACES)), jnp.full((ROBOTS, 2), jnp.nan))
+    _, transition = jax.jit(lambda: env.step(env.state(jnp.asarray(PLACES)), jnp.full((ROBOTS, 2), jnp.nan)))()
     assert bool(transition.terminated)
 
 

@@ -142,10 +142,10 @@ def seen_world(**sensing):
 
 def test_robots_move_as_they_mean_to():
     world, eyes = seen_world(use="visible", rotation=True, reflection=True, unit_ratio=2.0)
-    state = eyes.reset_batch(jax.random.key(0), 4)
+    state = eqx.filter_jit(eyes.reset_batch)(jax.random.key(0), 4)
     action = jax.random.normal(jax.random.key(1), (6, 2, 4)) * 0.3
-    after, transition = eyes.step(state, action)
-    plain, expected = world.step(state.inner, state.frames.to_world(action))
+    after, transition = eqx.filter_jit(eyes.step)(state, action)
+    plain, expected = eqx.filter_jit(lambda: world.step(state.inner, state.frames.to_world(action)))()
     np.testing.assert_array_equal(after.positions, plain.positions)
     np.testing.assert_array_equal(transition.reward, expected.reward)
     np.testing.assert_array_equal(after.objective, plain.objective)
@@ -159,10 +159,10 @@ def test_robots_move_as_they_mean_to():
 def test_frames_last_an_episode_or_a_step_and_noise_is_always_new():
     for resampled in (False, True):
         _, eyes = seen_world(rotation=True, resample_frames=resampled, range_noise=0.1)
-        state = eyes.reset_batch(jax.random.key(0), 3)
-        after, _ = eyes.step(state, jnp.zeros((6, 2, 3)))
+        state = eqx.filter_jit(eyes.reset_batch)(jax.random.key(0), 3)
+        after, _ = eqx.filter_jit(eyes.step)(state, jnp.zeros((6, 2, 3)))
         assert np.array_equal(after.frames.cos, state.frames.cos) is not resampled
-        first, second = eyes.observe(state), eyes.observe(after)
+        first, second = (eqx.filter_jit(eyes.observe)(each) for each in (state, after))
         assert np.array_equal(first.positions, second.positions)
         assert not np.allclose(np.hypot(first.view.x, first.view.y), np.hypot(second.view.x, second.view.y))
     angles = np.asarray(state.frames.cos)
@@ -172,8 +172,8 @@ def test_frames_last_an_episode_or_a_step_and_noise_is_always_new():
 def test_one_configuration_and_a_batch_are_perceived_alike():
     _, eyes = seen_world(use="visible", rotation=True)
     positions = configurations(batch=1)
-    single, many = eyes.state(positions[..., 0]), eyes.state(positions)
-    alone, batched = eyes.observe(single).view, eyes.observe(many).view
+    view = eqx.filter_jit(lambda positions: eyes.observe(eyes.state(positions)).view)
+    alone, batched = view(positions[..., 0]), view(positions)
     assert alone.x.shape == (6, 6)
     np.testing.assert_array_equal(alone.seen, batched.seen[..., 0])
     np.testing.assert_allclose(np.hypot(alone.x, alone.y), np.hypot(batched.x, batched.y)[..., 0], rtol=1e-5)

@@ -104,7 +104,8 @@ def test_what_is_hidden_counts_by_its_logarithm():
 def test_an_enclosed_robot_is_led_out_through_the_widest_gap():
     around = ring(6, 1.3)
     enclosed = np.concatenate([np.array([[0.3, 0.0]]), np.delete(around, 0, axis=0)])  # the gap is in direction x
-    share, slope = jax.value_and_grad(lambda p: Exposed()(configuration(p))[0])(jnp.asarray(enclosed, jnp.float32))
+    share_of = jax.jit(jax.value_and_grad(lambda p: Exposed()(configuration(p))[0]))
+    share, slope = share_of(jnp.asarray(enclosed, jnp.float32))
     assert share < 1
     assert slope[0, 0] > 0.1 * abs(slope[0, 1])
     assert slope[0, 0] > 0
@@ -119,7 +120,7 @@ def test_robots_at_one_place_give_finite_numbers(signal):
 
 
 def gradient_of(signal, positions):
-    return jax.grad(lambda p: signal.value(configuration(p)))(positions)
+    return jax.jit(jax.grad(lambda p: signal.value(configuration(p))))(positions)
 
 
 @pytest.mark.parametrize("strategy", [SmoothVisible, SmoothSafety, Exposed])
