@@ -24,7 +24,7 @@ __all__ = ["START_NAMES", "Parser", "chosen_strategies"]
 
 START_NAMES = (
     "random, polygon, line, grid, rings, cluster, corner, wall, walls, tight-grid, scattered, distributed, packed, "
-    "symmetric, hard, or module:Class"
+    "symmetric, surrounded, hard, or module:Class"
 )
 """The starts that a word chooses, for the help: `given_starts.start_names` would load JAX."""
 
