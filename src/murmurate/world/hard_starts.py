@@ -310,10 +310,10 @@ class WallsStart(Start):
 class SurroundedStart(ComputedStart):
     """A ring of robots around one robot or a few, anywhere in the world.
 
-    Whoever is in the middle of a ring hides robots on opposite sides of it from each other, and has to find the way out
-    between two of them. Of the robots, one is inside in 65% of the configurations, two in 25%, and a quarter of all in
-    10%; one where there is no room for more. Those inside are at the middle or anywhere else inside. The ring is
-    regular, or its robots are moved at random.
+    A robot in the middle of a ring hides robots on opposite sides of it from each other. It has to find the way out
+    between two of them. One robot is inside in 65% of the configurations, two are in 25%, and a quarter of all robots
+    in 10%; one where there is no room for more. The robots inside are at the middle or anywhere else inside. The ring
+    is regular, or its robots are moved at random.
 
     Attributes:
         min_spacing: Least distance between the centres of neighbours, in robot diameters.
