@@ -26,6 +26,7 @@ CONFIG = WorldConfig(robots=4, half_width=20.0, half_height=15.0, scan_radius=12
 def small_tiles(monkeypatch):
     """Makes tiles of 32 episodes, whatever the swarm."""
     monkeypatch.setattr(tiles, "OBSERVER_BYTES", 0)
+    monkeypatch.setattr(tiles, "LEAST", 32)
 
 
 def episodes(env, batch):
@@ -68,7 +69,7 @@ def test_perceived_and_scheduled_episodes_are_the_same(small_tiles, monkeypatch)
 def test_ten_robots_are_the_same_in_tiles_of_the_usual_size(monkeypatch):
     world = World.create(WorldConfig(robots=10), ScatteredStart())
     results = episodes(world, 300)
-    assert tiles.tile_size(10, 300) == 160
+    assert tiles.tile_size(10, 300) == 128
     assert_same(results, whole(monkeypatch, world, 300))
     ended = results[1][1].terminated
     assert 0 < ended.sum() < ended.size
@@ -111,13 +112,6 @@ def test_a_batch_stays_whole_where_it_has_to(small_tiles, monkeypatch):
 
 
 def test_tiles_are_of_nearly_equal_size_and_fit_the_cache():
-    assert [tiles.tile_size(10, batch) for batch in (0, 1, 256, 257, 300, 1024, 4096)] == [
-        0,
-        1,
-        256,
-        160,
-        160,
-        256,
-        256,
-    ]
-    assert [tiles.tile_size(robots, 1 << 16) for robots in (5, 20, 32, 48, 4096)] == [512, 128, 64, 32, 32]
+    batches = (0, 1, 128, 129, 256, 257, 300, 1024, 4096)
+    assert [tiles.tile_size(10, batch) for batch in batches] == [0, 1, 128, 96, 128, 96, 128, 128, 128]
+    assert [tiles.tile_size(robots, 1 << 16) for robots in (5, 9, 12, 19, 20, 4096)] == [256, 256, 128, 128, 64, 64]

@@ -11,15 +11,18 @@ from jax.core import Tracer
 
 __all__ = ["in_tiles", "tile_size"]
 
-OBSERVER_BYTES = 51_200
+OBSERVER_BYTES = 48 << 10
 """Bytes, at most, of the five numbers of every robot in which one observer tests who hides whom, over a tile.
 
 They are read once for each robot, so they should stay in a core's first-level cache, of 32 to 64 KiB today. With caches
-of 48 KiB, the fastest tiles had 256 episodes of 10 robots, 128 of 20 and 64 of 32. Twice as many took from 1.3 to 1.8
-times as long, and half as many up to 1.2 times.
+of 48 KiB, tiles of 128 episodes of 10 robots took from 0.6 to 0.9 times as long as tiles of 256 on an Intel Xeon, where
+two threads share a cache, and up to 1.2 times as long on an AMD EPYC.
 """
 
-VECTOR = 32
+LEAST = 64
+"""Episodes, at least, of a tile: fewer took up to 1.4 times as long, however many robots there were."""
+
+MULTIPLE = 32
 """Tiles have a multiple of so many episodes, so that vector units are full."""
 
 
@@ -78,8 +81,8 @@ def in_tiles(function: Callable[..., Any], robots: int, *arguments: Any) -> Any:
 
 def tile_size(robots: int, batch: int) -> int:
     """Returns how many episodes of a batch are computed at a time: all of them, or parts of nearly equal size."""
-    fitting = max(OBSERVER_BYTES // (20 * robots), VECTOR)
+    fitting = max(OBSERVER_BYTES // (20 * robots), LEAST)
     most = 1 << fitting.bit_length() - 1
     if batch <= most:
         return batch
-    return -(-batch // -(-batch // most) // VECTOR) * VECTOR
+    return -(-batch // -(-batch // most) // MULTIPLE) * MULTIPLE
