@@ -137,13 +137,13 @@ MAX_MEMORY_MAPS = 65530
 
 
 def _takes_much():
-    """Returns whether this process takes a sixth of the machine's memory: there are two, which start others."""
+    """Returns whether this process takes a quarter of the machine's memory: there are two, which start others."""
     try:
         pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
         maps = Path("/proc/self/maps").read_bytes().count(b"\n")
     except OSError:  # not Linux
         return False
-    return pages > os.sysconf("SC_PHYS_PAGES") / 6 or maps > MAX_MEMORY_MAPS / 2
+    return pages > os.sysconf("SC_PHYS_PAGES") / 4 or maps > 0.7 * MAX_MEMORY_MAPS
 
 
 @pytest.fixture(scope="session")

@@ -7,8 +7,8 @@ import re
 import pytest
 from pages import BY_HAND, DOCS, WRITTEN_BY_PROGRAMS, Reader, copy_run, tokens
 
-SLOW = {"adapters.md", "benchmarks.md", "cookbook.md", "discovery.md", "swarms.md"}
-"""Pages whose blocks train, export and compare for a minute or more: the tests of these parts have the same cases."""
+SLOW = {"adapters.md", "benchmarks.md", "cookbook.md", "discovery.md", "start.md", "swarms.md", "world.md"}
+"""Pages whose blocks train, export and compare: the tests of these parts have the same cases."""
 
 SHOWN = [
     pytest.param(page, marks=[pytest.mark.nightly] if page in SLOW else [])
