@@ -132,7 +132,8 @@ def test_the_programs_used_longest_ago_are_removed(tmp_path):
     assert {path.name for path in folder.iterdir()} == {"program2-cache", "program3-cache", "notes.txt"}
 
 
-@pytest.mark.parametrize("train", [A_LINE, pytest.param(A_SWARM, marks=pytest.mark.nightly)], ids=["line", "swarm"])
+@pytest.mark.nightly  # the tests of several processes compare runs with and without a filled cache too
+@pytest.mark.parametrize("train", [A_LINE, A_SWARM], ids=["line", "swarm"])
 def test_the_same_seed_gives_the_same_weights_with_and_without_it(train, tmp_path):
     code = TRAIN.format(train=train)
     runs = [execute(code, tmp_path, MURMURATE_CACHE=value) for value in ("off", str(tmp_path), str(tmp_path))]
