@@ -104,7 +104,7 @@ def test_unknown_weights_list_the_known_ones(choice, line):
 
 def test_a_size_beyond_training_warns_once_and_goes_on():
     run = murmurate.pretrained()
-    with pytest.warns(BeyondTrainingWarning, match="robots = 2: trained were swarms of 3 to 16"):
+    with pytest.warns(BeyondTrainingWarning, match="robots = 2: trained were swarms of 3 to 24"):
         other = run.of_size(2)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -117,7 +117,7 @@ def test_the_command_line_warns_in_one_line(tmp_path, capsys):
     assert main([*arguments, "--quiet"]) == 0
     assert (
         capsys.readouterr().err
-        == "murmurate: warning: robots = 2: trained were swarms of 3 to 16; others may do worse\n"
+        == "murmurate: warning: robots = 2: trained were swarms of 3 to 24; others may do worse\n"
     )
 
 
