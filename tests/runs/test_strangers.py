@@ -208,6 +208,20 @@ def test_the_starts_of_a_run_are_its_own(strange, outside, file):
     assert ("starts.csv is a link" if file == "starts.csv" else "the run's own file of starts") in str(caught.value)
 
 
+@pytest.mark.parametrize(("kind", "reason"), [("pipe", "no regular file"), ("device", "is a link")])
+def test_the_starts_of_a_run_are_a_regular_file(strange, outside, kind, reason):
+    path = strange.path / "experiment.toml"
+    text = config_io.dump_toml(tiny())
+    start = '[start]\nuse = "file"\nfile = "starts.csv"\n'
+    path.write_text(text[: text.index("[start]")] + start + text[text.index("[policy]") :])
+    (strange.path / "starts.csv").write_text("start,x,y\n0,-6,0\n0,0,0\n0,6,0\n")
+    seal(strange)
+    assert Run.open(strange.path).starts(1).shape == (1, 3, 2)
+    put(strange.path / "starts.csv", kind, outside)
+    with pytest.raises(RunError, match=rf"starts\.csv.* {reason}"):
+        Run.open(strange.path)
+
+
 def test_the_starts_of_a_mixture_are_the_run_s_own_too(strange):
     text = config_io.dump_toml(tiny())
     start = '[start]\nuse = "mixture"\n[start.second]\nuse = "file"\nfile = "/etc/passwd"\n'
