@@ -15,12 +15,12 @@ OBSERVER_BYTES = 48 << 10
 """Bytes, at most, of the five numbers of every robot in which one observer tests who hides whom, over a tile.
 
 They are read once for each robot, so they should stay in a core's first-level cache, of 32 to 64 KiB today. With caches
-of 48 KiB, tiles of 128 episodes of 10 robots took from 0.6 to 0.9 times as long as tiles of 256 on an Intel Xeon, where
-two threads share a cache, and up to 1.2 times as long on an AMD EPYC.
+of 48 KiB, tiles of 128 episodes of 10 robots took from 0.6 to 0.9 times as long as tiles of 256 on an Intel Xeon, and
+up to 1.2 times as long on an AMD EPYC.
 """
 
 LEAST = 64
-"""Episodes, at least, of a tile: fewer took up to 1.4 times as long, however many robots there were."""
+"""Episodes, at least, of a tile. On the Xeon, half as many took 1.4 times as long with 40 robots, 0.9 times with 48."""
 
 MULTIPLE = 32
 """Tiles have a multiple of so many episodes, so that vector units are full."""
