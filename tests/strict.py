@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import inspect
+import os
 import sys
 import typing
 from collections import Counter
@@ -17,8 +18,9 @@ from jax import export
 
 __all__ = ["CHECKED_CALLS", "begin_test", "check_types", "install"]
 
-CHECKED_CALLS = 5
-"""Calls of one function in one test whose types are checked: a loop says after a few what it says after a million."""
+CHECKED_CALLS = 5 if os.environ.get("MURMURATE_TEST_COMPILER") == "full" else 1
+"""Calls of one function in one test whose types are checked: a check takes longer than most functions take. The next
+test's are checked anew, and the nightly tests check more of them."""
 
 _Symbol = type(export.symbolic_shape("robots")[0])
 """A number of robots in a program for swarms of any size."""

@@ -38,7 +38,6 @@ KINDS = {
             "reflection": True,
             "unit_ratio": 2.0,
             "resample_frames": True,
-            "range_noise": 0.01,
         },
     },
 }

@@ -10,7 +10,10 @@ import pytest
 from murmurate import interop
 from murmurate.cli.main import main
 
-pytestmark = pytest.mark.filterwarnings("ignore:::(jax2onnx|onnx|onnx_ir|flax|orbax|google).*")
+pytestmark = [
+    pytest.mark.filterwarnings("ignore:::(jax2onnx|onnx|onnx_ir|flax|orbax|google).*"),
+    pytest.mark.usefixtures("quick_conversion"),
+]
 
 
 def complaint(capsys, arguments):

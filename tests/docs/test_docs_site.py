@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import itertools
 import re
 import shlex
 import subprocess
@@ -11,6 +12,8 @@ from html.parser import HTMLParser
 from urllib.parse import unquote, urldefrag, urlsplit
 
 import pytest
+from markdown_it import MarkdownIt
+from myst_parser.mdit_to_docutils.base import default_slugify
 from pages import DOCS, PAGES, ROOT, WRITTEN_BY_PROGRAMS
 
 EXCLUDED = {"comparison/comparison.md", "comparison/C1/comparison.md", "comparison/hard/comparison.md"}
@@ -94,6 +97,28 @@ def outside(link):
     return bool(urlsplit(link).scheme or urlsplit(link).netloc)
 
 
+def anchors(page):
+    """Returns the anchors of a page's source, as myst-parser makes them of headings up to the fourth level."""
+    tokens = MarkdownIt().parse((DOCS / page).read_text("utf-8"))
+    heads = [after for token, after in itertools.pairwise(tokens) if token.type == "heading_open"]
+    texts = ["".join(part.content for part in head.children) for head in heads]
+    return {default_slugify(text) for text in texts}
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_links_between_sources_lead_somewhere(page):
+    """The nightly build checks those of the reference, too."""
+    for inline in MarkdownIt().parse((DOCS / page).read_text("utf-8")):
+        for part in inline.children or ():
+            link = part.attrGet("href") or part.attrGet("src")
+            if not link or outside(link):
+                continue
+            path, anchor = map(unquote, urldefrag(link))
+            assert ((DOCS / page).parent / path).exists(), link
+            assert not anchor or anchor in anchors(target(page, link)[0]), link
+
+
+@pytest.mark.nightly
 def test_every_page_is_within_reach_of_home(pages):
     reached, waiting = set(), ["index.html"]
     while waiting:
@@ -105,6 +130,7 @@ def test_every_page_is_within_reach_of_home(pages):
     assert {page.removesuffix(".md") + ".html" for page in SHOWN} <= reached
 
 
+@pytest.mark.nightly
 def test_every_link_and_picture_leads_somewhere(site, pages):
     lost = []
     for name, page in pages.items():
@@ -118,6 +144,7 @@ def test_every_link_and_picture_leads_somewhere(site, pages):
     assert not lost
 
 
+@pytest.mark.nightly
 def test_links_to_elsewhere_are_https_and_well_formed(pages):
     for name, page in pages.items():
         for link in filter(outside, page.links):
@@ -127,6 +154,7 @@ def test_links_to_elsewhere_are_https_and_well_formed(pages):
             assert not re.search(r"\s", link), f"{name}: {link}"
 
 
+@pytest.mark.nightly
 def test_nothing_is_loaded_from_elsewhere(site, pages):
     for name, page in pages.items():
         assert not list(filter(outside, page.sources)), name
@@ -134,6 +162,7 @@ def test_nothing_is_loaded_from_elsewhere(site, pages):
         assert not re.search(r"(url\(|@import)\s*[\"']?(https?:)?//", style.read_text("utf-8")), style.name
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("page", SHOWN)
 def test_text_and_navigation_are_there_without_javascript(page, pages):
     name = page.removesuffix(".md") + ".html"
@@ -145,6 +174,7 @@ def test_text_and_navigation_are_there_without_javascript(page, pages):
     assert {"index.html", "start.html", "world.html", "api/index.html"} <= targets
 
 
+@pytest.mark.nightly
 def test_the_reference_writes_arrays_as_the_source_does(pages):
     world = "".join(pages["api/world.html"].text)
     assert "Float[Array, 'robots 2 *batch']" in world
@@ -152,6 +182,7 @@ def test_the_reference_writes_arrays_as_the_source_does(pages):
     assert "jaxlib" not in world
 
 
+@pytest.mark.nightly
 def test_the_reference_has_every_public_name(pages):
     import murmurate.analysis
     import murmurate.discovery

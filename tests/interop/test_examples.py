@@ -38,6 +38,7 @@ def test_pettingzoo_loop(capsys):
     assert "visible" in capsys.readouterr().out
 
 
+@pytest.mark.nightly
 def test_the_notebook_runs_from_top_to_bottom(capsys):
     notebook = json.loads((EXAMPLES / "quickstart.ipynb").read_text("utf-8"))
     cells = ["".join(cell["source"]) for cell in notebook["cells"] if cell["cell_type"] == "code"]

@@ -35,7 +35,10 @@ CHECKED = 100
 REST = {"max_steps": 15, "window": 3, "switch_tolerance": 0.004, "stillness": 0.1, "dead_zone": 0.02}
 """So that some policies come to rest and others are cut off."""
 
-pytestmark = pytest.mark.filterwarnings("ignore:::(jax2onnx|onnx|onnx_ir|flax|orbax|google).*")
+pytestmark = [
+    pytest.mark.filterwarnings("ignore:::(jax2onnx|onnx|onnx_ir|flax|orbax|google).*"),
+    pytest.mark.usefixtures("quick_conversion"),
+]
 
 
 def untrained(kind, policies=2, objective="C2", seed=0, factor=1, walls=False):

@@ -28,7 +28,10 @@ with warnings.catch_warnings():
     warnings.simplefilter("ignore")  # of what the converter imports
     from murmurate.interop import onnx
 
-pytestmark = pytest.mark.filterwarnings("ignore:::(jax2onnx|onnx|onnx_ir|flax|orbax|google).*")
+pytestmark = [
+    pytest.mark.filterwarnings("ignore:::(jax2onnx|onnx|onnx_ir|flax|orbax|google).*"),
+    pytest.mark.usefixtures("quick_conversion"),
+]
 
 ROBOTS = 3
 SMALL = EquivariantPolicy(hidden=(8, 4))

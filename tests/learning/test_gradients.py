@@ -11,7 +11,7 @@ import pytest
 from learning.probes import Linear, Parabola, Step, linear, parabola
 from murmurate.errors import InputError
 from murmurate.learning import GradientConfig, GradientHyperparameters, Segment, init
-from murmurate.learning.gradients import limit_gradient, segment_return, train_chunk
+from murmurate.learning.gradients import begin, limit_gradient, segment_return, train_chunk
 
 NUMBERS = {
     "updates": 60, "worlds": 16, "steps": 6, "discount": 0.9, "gae_lambda": 0.9, "reward_scale": 1.0,
@@ -137,6 +137,26 @@ def test_chunks_add_up():
     half, _ = train_chunk(trained(slope(), 2)[0], slope(), numbers, shape, 2)
     for leaf, other in zip(jax.tree.leaves(whole), jax.tree.leaves(half), strict=True):
         np.testing.assert_array_equal(leaf, other)
+
+
+def test_the_result_is_an_average_of_the_weights():
+    config = GradientConfig(**{**NUMBERS, "average": 3})
+    numbers, shape = GradientHyperparameters.from_config(config), Segment.from_config(config)
+    reset, key = jax.random.split(jax.random.key(0))
+    states = eqx.filter_jit(slope().reset_batch)(reset, config.worlds)
+    state, slopes = begin(linear(), parabola(), states, key, config), []
+    expected = None
+    for update in range(6):
+        state, _ = train_chunk(state, slope(), numbers, shape, 1)
+        slopes.append(float(state.policy.slope))
+        # The mean of the first three; then each new one counts a third.
+        expected = np.mean(slopes) if update < 3 else expected + (slopes[-1] - expected) / 3
+        assert float(state.result.slope) == pytest.approx(expected, rel=1e-5)
+    assert state.result.slope != state.policy.slope
+    # The training itself is that without an average.
+    plain, _ = trained(slope(), 6)
+    assert float(plain.policy.slope) == slopes[-1]
+    assert plain.result is plain.policy
 
 
 class Wall(Slope):

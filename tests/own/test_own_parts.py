@@ -128,6 +128,7 @@ def test_many_begin_with_the_policies_of_a_run(experiment, run, tmp_path, capsys
     assert capsys.readouterr().out.count("| own | mine:Linear |") == 4
 
 
+@pytest.mark.usefixtures("quick_conversion")
 def test_it_is_exported_when_it_is_trusted(run, tmp_path, capsys):
     assert main(["export", str(run), "--trust", "--onnx", "--out", str(tmp_path / "own.onnx")]) == 0
     # A model of its policies and its scheduler, which was compared with the run before it was written.

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -82,3 +84,23 @@ def test_no_such_policy(policy, fields):
         policy(**fields)
     assert error.value.field in fields
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("policy", [CentralPolicy, EquivariantPolicy])
+def test_wider_networks_begin_with_what_they_computed(policy):
+    def build(hidden, robots=3):
+        world = dataclasses.replace(WORLD, robots=robots)
+        return policy(hidden=hidden).networks(world, True, jax.random.key(0))[0]
+
+    narrow = eqx.filter_jit(build)((8, 6))
+    template = functools.partial(eqx.filter_eval_shape, build)
+    wide = narrow.widened_to(template((12, 10)))
+    assert jax.tree.map(jnp.shape, wide) == jax.tree.map(jnp.shape, template((12, 10)))
+    positions = jax.random.uniform(jax.random.key(1), (3, 2, 4), minval=-15.0, maxval=15.0)
+    act = eqx.filter_jit(lambda network, positions: network(positions))
+    np.testing.assert_allclose(act(wide, positions), act(narrow, positions), atol=1e-6)
+    for hidden in ((6, 10), (8, 6)):
+        assert narrow.widened_to(template(hidden)) is narrow
+    # Only a network that knows its robots by number is for so many.
+    changed = narrow.widened_to(template((12, 10), robots=4)) is not narrow
+    assert changed == (policy is EquivariantPolicy)

@@ -191,7 +191,7 @@ def test_a_network_is_given_walls_and_gaps_that_have_no_effect_yet():
         return networks(WorldConfig(robots=6), True, jax.random.key(0))[0]
 
     plain, template = build(), eqx.filter_eval_shape(lambda: build(walls=True, gaps=True))
-    wider = plain.with_inputs_of(template)
+    wider = plain.widened_to(template)
     assert jax.tree.map(jnp.shape, eqx.filter(wider, eqx.is_array)) == jax.tree.map(
         jnp.shape, eqx.filter(build(walls=True, gaps=True), eqx.is_array)
     )
@@ -205,4 +205,27 @@ def test_a_network_is_given_walls_and_gaps_that_have_no_effect_yet():
         assert np.abs(head.weight).max() > 0
     # What has all of them, or could only have walls before gaps, is left as it is.
     for network in (build(walls=True, gaps=True), build(gaps=True)):
-        assert network.with_inputs_of(template) is network
+        assert network.widened_to(template) is network
+
+
+def test_a_network_is_given_units_that_have_no_effect_yet():
+    def build(landmark=True, **fields):
+        fields = {"walls": True, "gaps": True, "basis": 4, **fields}
+        return eqx.filter_jit(LocalPolicy(**fields).networks)(WorldConfig(robots=6), landmark, jax.random.key(0))[0]
+
+    narrow = louder(build(hidden=(16, 8)))
+    wide = narrow.widened_to(eqx.filter_eval_shape(lambda: build(hidden=(24, 20))))
+    assert jax.tree.map(jnp.shape, eqx.filter(wide, eqx.is_array)) == jax.tree.map(
+        jnp.shape, eqx.filter(build(hidden=(24, 20)), eqx.is_array)
+    )
+    _, observation = observed(configuration(), use="visible", walls=True)
+    np.testing.assert_allclose(act(wide, observation), act(narrow, observation), atol=1e-6)
+    slope = eqx.filter_jit(eqx.filter_grad(lambda p: jnp.sum(p(observation) ** 2)))(wide)
+    # What comes of the new units is there to be trained; two of them do not do the same.
+    assert np.abs(slope.head.weight[:, 8:]).min() > 0
+    assert np.abs(slope.to_gap.weight[:, 16:]).min() > 0
+    assert np.abs(np.diff(slope.head.weight[:, 8:], axis=1)).min() > 0
+    # Narrower ones, others' inputs: left as it is.
+    for fields in ({"hidden": (12, 20)}, {"basis": 6}, {"landmark": False}):
+        template = eqx.filter_eval_shape(lambda fields=fields: build(**{"hidden": (24, 20), **fields}))
+        assert narrow.widened_to(template) is narrow

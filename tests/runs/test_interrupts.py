@@ -10,6 +10,8 @@ import time
 import pytest
 
 from murmurate.cli.main import main
+from murmurate.interrupts import raise_if_interrupted, sigterm_as_interrupt
+from murmurate.runs import train
 from murmurate.runs.folder import RunFolder
 from tiny import write_toml
 
@@ -42,6 +44,38 @@ def test_a_request_to_end_is_one_line_and_the_run_goes_on_later(tmp_path, reques
     assert "Traceback" not in reported
     assert folder.inspect(resume=True) == "unfinished"
     assert folder.checkpoint_rows() > 0
+
+
+class Finalised:
+    """Python drops what is raised while an object is finalised, and goes on."""
+
+    def __del__(self):
+        signal.raise_signal(signal.SIGTERM)
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+def test_no_request_is_lost_in_a_finaliser(tmp_path, capsys, monkeypatch):
+    toml = write_toml(tmp_path / "long.toml", base=LONG)
+    report = train._report
+
+    def report_and_finalise(*arguments, **numbers):
+        report(*arguments, **numbers)
+        Finalised()
+
+    monkeypatch.setattr(train, "_report", report_and_finalise)
+    assert main(["discover", str(toml), "--out", str(tmp_path / "run"), "--quiet"]) == 130
+    assert capsys.readouterr().err.startswith("murmurate: interrupted; add --resume")
+    # It was of that command alone.
+    raise_if_interrupted()
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+def test_the_outermost_block_ends_a_request():
+    with pytest.raises(KeyboardInterrupt), sigterm_as_interrupt():
+        with sigterm_as_interrupt():
+            Finalised()
+        raise_if_interrupted()
+    raise_if_interrupted()
 
 
 def test_divergence_is_said_with_the_update_and_the_quantity(tmp_path, capsys):

@@ -24,7 +24,7 @@ def run(tiny_run):
 
 def test_it_is_opened_with_the_eyes_it_was_trained_with(run):
     assert run.experiment == tiny(**LOCAL)
-    assert run.experiment.sensing.range_noise == 0.01
+    assert run.experiment.sensing.unit_ratio == 2.0
     assert isinstance(run.cascade.env, DeadZone)
     assert isinstance(run.cascade.env.env, LocalObservation)
     assert run.cascade.env.env.sensing.name == "visible"

@@ -14,6 +14,7 @@ from jaxtyping import Array, Bool, Float, Int, UInt32
 from murmurate import prng
 from murmurate.discovery.rest import RestLimits, RestRule, all_still, has_ended
 from murmurate.errors import InputError, RunError, check_function, check_number
+from murmurate.interrupts import raise_if_interrupted
 from murmurate.types import Trajectories
 from murmurate.world import World, Wrapper, checked_starts, episodes_at_once
 
@@ -171,6 +172,7 @@ class Cascade(eqx.Module):
         chunk = max(2, min(CHUNK, CHUNK_TRIPLES // (size * robots**3)))
         moving = episodes
         while moving:
+            raise_if_interrupted()
             status, part = _advance(self, status, chunk)
             parts.append(jax.device_get(part))
             moving = int(np.count_nonzero(status.moving()))

@@ -197,7 +197,7 @@ def advance_together(
     for search, snapshot, stage, train, result in zip(searches, snapshots, stages, before, results, strict=True):
         train, rows = stage.after_chunk(train, *result)
         if stage.is_done(train):
-            advanced.append((search.conclude(snapshot, train.policy), rows))
+            advanced.append((search.conclude(snapshot, train.result), rows))
         else:
             advanced.append((replace(snapshot, train=train), rows))
     return advanced

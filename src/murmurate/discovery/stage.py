@@ -16,7 +16,7 @@ from murmurate import prng
 from murmurate.discovery.build import build_environment, build_networks
 from murmurate.discovery.curriculum import Curriculum
 from murmurate.discovery.problem import Problem, StageConfig
-from murmurate.learning import LEARNERS, Chunk, Learner, TrainState, init
+from murmurate.learning import LEARNERS, Chunk, Learner, TrainState
 from murmurate.world import (
     ActionRepeat,
     HardStart,
@@ -162,9 +162,9 @@ class Stage:
         problem = self.curriculum.problem
         policy, value = build_networks(problem, draw_key(problem, self.index, "networks"))
         policy = policy if warm_start is None else warm_start
-        policy = self._learner.prepare(policy, self.config.learning)
         states = tuple(self._worlds(part_index) for part_index in range(len(self.curriculum.parts)))
-        return init(policy, value, states, draw_key(problem, self.index, "training"))
+        key = draw_key(problem, self.index, "training")
+        return self._learner.begin(policy, value, states, key, self.config.learning)
 
     def next_chunk(self, train: TrainState) -> Chunk:
         """Returns the updates to run next."""

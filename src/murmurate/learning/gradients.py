@@ -9,14 +9,14 @@ found this way: reinforcement learning discovers a policy first. Nothing here kn
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import optax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, PRNGKeyArray
 
 from murmurate import prng
 from murmurate.errors import MAX_INTEGER, MAX_MAGNITUDE, InputError, check_number
@@ -24,7 +24,15 @@ from murmurate.learning import sharding
 from murmurate.learning.advantage import generalized_advantage
 from murmurate.learning.config import MAX_RATE, Schedule
 from murmurate.learning.environment import Environment
-from murmurate.learning.ppo import TrainState, all_finite, descend, flatten_time, scan_state, split_minibatches
+from murmurate.learning.ppo import (
+    TrainState,
+    all_finite,
+    descend,
+    flatten_time,
+    init,
+    scan_state,
+    split_minibatches,
+)
 from murmurate.representation import short_repr
 
 __all__ = ["GradientConfig", "GradientHyperparameters", "Segment", "train_chunk"]
@@ -50,6 +58,8 @@ class GradientConfig:
         max_gradient: Bound on the global norm of each network's gradient.
         max_state_gradient: Bound on the norm of each episode's gradient by its state, at every step. Where robots
             almost touch, the next steps depend on it without bound, and one episode would drown all others.
+        average: The policy that training returns has the exponential moving average of the weights over about so many
+            updates; 0 for the weights of the last one.
         weights: Weights in the reward of signals that have a gradient, by name: of the objective, of one's own, or of
             the package; gathering stands for centered (C1) or compact (C2).
     """
@@ -68,6 +78,7 @@ class GradientConfig:
     reward_scale: float = 0.03
     max_gradient: float = 1.0
     max_state_gradient: float = 10.0
+    average: int = 0
     weights: Mapping[str, float] = field(
         default_factory=lambda: {
             "gathering": 1.0,
@@ -82,6 +93,7 @@ class GradientConfig:
     def __post_init__(self) -> None:
         for name in ("updates", "worlds", "steps", "epochs", "minibatches"):
             check_number(name, getattr(self, name), 1, MAX_INTEGER, integer=True)
+        check_number("average", self.average, 0, MAX_INTEGER, integer=True)
         if (self.worlds * self.steps) % self.minibatches:
             allowed = f"a divisor of worlds * steps = {self.worlds * self.steps}"
             raise InputError("minibatches", self.minibatches, allowed)
@@ -106,6 +118,7 @@ class GradientHyperparameters(eqx.Module):
     reward_scale: Any
     max_gradient: Any
     max_state_gradient: Any
+    average: Any
 
     __repr__ = short_repr
 
@@ -121,6 +134,7 @@ class GradientHyperparameters(eqx.Module):
             reward_scale=config.reward_scale,
             max_gradient=config.max_gradient,
             max_state_gradient=config.max_state_gradient,
+            average=config.average,
         )
         # Equinox compiles plain numbers into the program, so they become arrays; their type is not left to JAX's flags.
         return jax.tree.map(lambda x: x if isinstance(x, jax.Array) else jnp.asarray(x, jnp.float32), numbers)
@@ -237,6 +251,12 @@ def _update(
         state.policy, state.policy_moments, gradient, hyper.policy_rate(progress), hyper.max_gradient
     )
     state = eqx.tree_at(lambda s: (s.policy, s.policy_moments), state, (policy, policy_moments))
+    if state.average is not None:
+        # The plain mean of the first updates, which forgets where it began.
+        share = 1 / jnp.minimum(state.update.astype(jnp.float32) + 1, hyper.average)
+        weights, rest = eqx.partition(policy, eqx.is_inexact_array)
+        average = optax.incremental_update(weights, eqx.filter(state.average, eqx.is_inexact_array), share)
+        state = eqx.tree_at(lambda s: s.average, state, eqx.combine(average, rest))
     before = jax.lax.map(lambda x: jnp.mean(state.value(x), axis=0), observations)
     after = jnp.concatenate([before[1:], jnp.mean(state.value(final), axis=0)[None]])
     rewards = jnp.where(counted, hyper.reward_scale * jnp.mean(transitions.credit, axis=1), 0.0)
@@ -285,6 +305,20 @@ def _update(
         lambda s: (s.env_state, s.key, s.update), state, (env_state, jax.random.key_data(key), state.update + 1)
     )
     return state, metrics
+
+
+def begin(policy: Any, value: Any, env_state: Any, key: PRNGKeyArray, config: GradientConfig) -> TrainState:
+    """Returns the state of training before its first update.
+
+    Args:
+        policy: The policy network.
+        value: The value network.
+        env_state: The states of the environment.
+        key: The key of the training.
+        config: Says whether an average of the weights is kept.
+    """
+    state = init(policy, value, env_state, key)
+    return replace(state, average=policy) if config.average else state
 
 
 @eqx.filter_jit

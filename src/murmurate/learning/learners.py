@@ -6,20 +6,18 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from jaxtyping import PRNGKeyArray
+
 from murmurate.learning import gradients, ppo
 from murmurate.learning.config import Hyperparameters, PPOConfig, Shape
 from murmurate.learning.gradients import GradientConfig, GradientHyperparameters, Segment
+from murmurate.learning.ppo import TrainState
 
 __all__ = ["LEARNERS", "Learner", "LearnerConfig"]
 
 
-def _as_it_is(policy: Any, config: Any) -> Any:
-    del config
-    return policy
-
-
-def _with_spread(policy: Any, config: PPOConfig) -> Any:
-    return ppo.set_log_std(policy, config.log_std)
+def _begin_ppo(policy: Any, value: Any, env_state: Any, key: PRNGKeyArray, config: PPOConfig) -> TrainState:
+    return ppo.init(ppo.set_log_std(policy, config.log_std), value, env_state, key)
 
 
 @dataclass(frozen=True)
@@ -30,7 +28,8 @@ class Learner:
         hyperparameters: Returns the numbers of its configuration that can change without recompiling.
         shape: Returns those that cannot.
         train_chunk: Runs some updates: see `ppo.train_chunk`.
-        prepare: Returns a policy network as it is before the first update, by the configuration.
+        begin: Returns the state of training before the first update, of a policy network, a value network, the states
+            of the environment, a key and the configuration.
         repeats_actions: Whether each action is kept up for the steps that a stage's `repeat` says.
         needs_gradients: Whether it improves signals by their gradients.
     """
@@ -38,17 +37,18 @@ class Learner:
     hyperparameters: Callable[[Any], Any]
     shape: Callable[[Any], Any]
     train_chunk: Callable[..., tuple[Any, dict[str, Any]]]
-    prepare: Callable[[Any, Any], Any] = _as_it_is
+    begin: Callable[..., TrainState]
     repeats_actions: bool = True
     needs_gradients: bool = False
 
 
 LEARNERS: dict[str, Learner] = {
-    "ppo": Learner(Hyperparameters.from_config, Shape.from_config, ppo.train_chunk, _with_spread),
+    "ppo": Learner(Hyperparameters.from_config, Shape.from_config, ppo.train_chunk, _begin_ppo),
     "gradients": Learner(
         GradientHyperparameters.from_config,
         Segment.from_config,
         gradients.train_chunk,
+        gradients.begin,
         repeats_actions=False,
         needs_gradients=True,
     ),

@@ -39,8 +39,14 @@ class TrainState(eqx.Module):
     env_state: Any
     key: UInt32[Array, "..."]
     update: Int[Array, ""]
+    average: Any = None
 
     __repr__ = short_repr
+
+    @property
+    def result(self) -> Any:
+        """The policy that the training returns: an average over its updates where it keeps one, else the last one."""
+        return self.policy if self.average is None else self.average
 
 
 class Rollout(eqx.Module):

@@ -95,10 +95,10 @@ class PolicyNetwork(eqx.Module):
             log_std = log_std.reshape(log_std.shape + (1,) * (mean.ndim - log_std.ndim))
         return Gaussian(mean, log_std + math.log(self.world.max_speed), joint=self.is_joint)
 
-    def with_inputs_of(self, template: PolicyNetwork) -> PolicyNetwork:
-        """Returns this network with the inputs that it lacks beside a template, as far as it can have them.
+    def widened_to(self, template: PolicyNetwork) -> PolicyNetwork:
+        """Returns this network with the units and inputs that it lacks beside a template, as far as it can have them.
 
-        They have no effect until they are trained. A network that has no optional inputs is returned as it is.
+        They have no effect until they are trained. A network that cannot have more is returned as it is.
 
         Args:
             template: A network, or one without numbers, as `jax.eval_shape` returns it.

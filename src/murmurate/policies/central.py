@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from murmurate.policies.base import Policy, PolicyNetwork, check_hidden
-from murmurate.policies.layers import Dense, Tanh
+from murmurate.policies.layers import Dense, Tanh, widened
 from murmurate.representation import short_repr
 from murmurate.world.config import WorldConfig
 
@@ -60,6 +60,11 @@ class CentralNetwork(PolicyNetwork):
         """Returns the most likely velocities, world units per step."""
         out = self.head(self.body(_features(observation, self.world)))
         return self.world.max_speed * out.reshape(observation.shape)
+
+    def widened_to(self, template: PolicyNetwork) -> PolicyNetwork:
+        """Returns this network with the width of a template that is for as many robots and has as many layers."""
+        same = isinstance(template, CentralNetwork) and self.world.robots == template.world.robots
+        return widened(self, template) if same else self
 
     @property
     def is_joint(self) -> bool:

@@ -26,7 +26,7 @@ from murmurate.errors import InputError, check_number
 from murmurate.geometry._batch_last import sum_terms
 from murmurate.policies.base import Policy, PolicyNetwork, check_hidden
 from murmurate.policies.features import pair_channels, point, robot_channels, surroundings
-from murmurate.policies.layers import Dense, Linear, bounded
+from murmurate.policies.layers import Dense, Linear, bounded, widened
 from murmurate.representation import short_repr
 from murmurate.world.config import WorldConfig
 
@@ -109,6 +109,13 @@ class EquivariantNetwork(PolicyNetwork):
             g, h = self.to_point(nodes)
             vx, vy = vx + g * px - h * py, vy + g * py + h * px
         return bounded(vx, vy, self.world.max_speed)
+
+    def widened_to(self, template: PolicyNetwork) -> PolicyNetwork:
+        """Returns this network with the width of a template that has the same inputs."""
+        if not isinstance(template, EquivariantNetwork):
+            return self
+        same = (self.basis, self.landmark) == (template.basis, template.landmark)
+        return widened(self, template) if same else self
 
 
 class ValueHead(eqx.Module):

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from murmurate import prng
 from murmurate.representation import short_repr
 
-__all__ = ["Dense", "Linear", "Tanh", "bounded"]
+__all__ = ["Dense", "Linear", "Tanh", "bounded", "widened"]
 
 
 def bounded(
@@ -53,6 +55,47 @@ class Dense(Linear):
     def __call__(self, x: Float[Array, "features *batch"]) -> Float[Array, "out *batch"]:
         """Applies the map to every member of the batch."""
         return super().__call__(x) + self.bias.reshape((-1,) + (1,) * (x.ndim - 1))
+
+
+Network = TypeVar("Network")
+
+
+def widened(network: Network, template: Any) -> Network:
+    """Returns a network whose layers have as many inputs and outputs as a template's, and that computes the same.
+
+    New inputs of a layer come last and have no effect until they are trained. New outputs are those of a new layer.
+
+    Args:
+        network: A network of layers.
+        template: One of the same layers, or without numbers, as `jax.eval_shape` returns it. Where it has other layers
+            or narrower ones, the network is returned as it is.
+    """
+
+    def is_layer(node: Any) -> bool:
+        return isinstance(node, Linear)
+
+    leaves, structure = jax.tree.flatten(network, is_leaf=is_layer)
+    others = jax.tree.leaves(template, is_leaf=is_layer)
+    if list(map(is_layer, leaves)) != list(map(is_layer, others)):
+        return network
+    layers = [index for index, leaf in enumerate(leaves) if is_layer(leaf)]
+    gains = np.array([np.subtract(others[index].weight.shape, leaves[index].weight.shape) for index in layers])
+    if not gains.any() or (gains < 0).any():
+        return network
+    for index, key in zip(layers, jax.random.split(prng.key(0), len(layers)), strict=True):
+        leaves[index] = _widened_layer(leaves[index], others[index].weight.shape, key)
+    return jax.tree.unflatten(structure, leaves)
+
+
+def _widened_layer(layer: Linear, shape: tuple[int, int], key: PRNGKeyArray) -> Linear:
+    """Returns a layer with more inputs and outputs, of which the inputs have no effect on what it computed before."""
+    out, features = layer.weight.shape
+    weight = jax.nn.initializers.orthogonal()(key, shape, layer.weight.dtype)
+    weight = weight.at[:out].set(0.0).at[:out, :features].set(layer.weight)
+    layer = eqx.tree_at(lambda x: x.weight, layer, weight)
+    if isinstance(layer, Dense):
+        layer = eqx.tree_at(lambda x: x.bias, layer, jnp.pad(layer.bias, (0, shape[0] - out)))
+    return layer
 
 
 class Tanh(eqx.Module):

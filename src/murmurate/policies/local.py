@@ -42,7 +42,7 @@ from murmurate.policies.features import (
     surroundings,
 )
 from murmurate.policies.hull import CORNER_CHANNELS, EDGE_CHANNELS, GAP_CHANNELS, hull, widest_gap
-from murmurate.policies.layers import Dense, Linear, bounded
+from murmurate.policies.layers import Dense, Linear, bounded, widened
 from murmurate.policies.shield import limit_wall_approach, wall_directions
 from murmurate.types import Observation
 from murmurate.world.config import WorldConfig
@@ -161,34 +161,23 @@ class LocalNetwork(PolicyNetwork):
         velocity = bounded(vx, vy, world.max_speed)
         return velocity if walls is None else limit_wall_approach(velocity, walls)
 
-    def with_inputs_of(self, template: PolicyNetwork) -> PolicyNetwork:
-        """Returns this network with perceived walls and the widest gap as inputs, where the template has them."""
+    def widened_to(self, template: PolicyNetwork) -> PolicyNetwork:
+        """Returns this network with a template's width, perceived walls and widest gap, where it has less."""
         if not isinstance(template, LocalNetwork):
             return self
-        # New columns come last: a network with gaps cannot be given walls.
-        later = self.to_gap is None and template.to_gap is not None
-        if not later and not (self.to_walls is None and self.to_gap is None and template.to_walls is not None):
+        if (self.basis, self.landmark) != (template.basis, template.landmark):
             return self
+        missing = [name for name in ("to_walls", "to_gap") if getattr(self, name) is None and getattr(template, name)]
+        # Inputs are in order: a network with gaps cannot be given walls.
+        if "to_walls" in missing and self.to_gap is not None:
+            return self
+        silent = [jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), getattr(template, name)) for name in missing]
 
-        def widened(weight: Array, other: Any) -> Array:
-            return jnp.pad(
-                weight, [(0, max(wide - narrow, 0)) for narrow, wide in zip(weight.shape, other.shape, strict=True)]
-            )
+        def heads(network: LocalNetwork) -> list[Dense | None]:
+            return [getattr(network, name) for name in missing]
 
-        def silent(other: Dense | None) -> Dense | None:
-            return jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), other)
-
-        return eqx.tree_at(
-            lambda n: (n.node.weight, n.pair.weight, n.to_walls, n.to_gap),
-            self,
-            (
-                widened(self.node.weight, template.node.weight),
-                widened(self.pair.weight, template.pair.weight),
-                silent(template.to_walls) if self.to_walls is None else self.to_walls,
-                silent(template.to_gap) if self.to_gap is None else self.to_gap,
-            ),
-            is_leaf=lambda leaf: leaf is None,
-        )
+        wider = eqx.tree_at(heads, self, silent, is_leaf=lambda leaf: leaf is None) if missing else self
+        return widened(wider, template)
 
     def _near_walls(self, walls: Array) -> Float[Array, "basis robots 4 *batch"]:
         """Returns the radial basis of the distance of each wall, faded out beyond `WALL_REACH`."""

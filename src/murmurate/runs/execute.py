@@ -19,7 +19,7 @@ from pathlib import Path
 
 from murmurate import untrusted
 from murmurate.errors import InputError, RunError, check_number
-from murmurate.interrupts import sigterm_as_interrupt
+from murmurate.interrupts import raise_if_interrupted, sigterm_as_interrupt
 from murmurate.runs import files, worker
 from murmurate.runs.grid import MAX_RUNS
 from murmurate.runs.jobs import Job, JobStatus, initial_statuses
@@ -245,6 +245,7 @@ class WorkerExecutor(Executor):
         handles: dict[Job, Handle] = {}
         try:
             while waiting or handles:
+                raise_if_interrupted()
                 while waiting and (self.workers is None or len(handles) < self.workers):
                     job = waiting.popleft()
                     job.prepare()

@@ -21,6 +21,7 @@ import jax
 from murmurate import __version__, prng
 from murmurate.discovery import Search, advance_together, build_cascade, check_parts, policy_name, policy_templates
 from murmurate.errors import RunError, check_function, check_path, check_type
+from murmurate.interrupts import raise_if_interrupted
 from murmurate.learning import sharding
 from murmurate.policies import PolicyNetwork
 from murmurate.runs import config_io, files
@@ -229,7 +230,7 @@ def _origin(initial: Run | None) -> dict[str, Any] | None:
 
 
 def _fit_initial(config: ExperimentConfig, initial: Run | None) -> tuple[Any, ...]:
-    """Returns the policies to begin with, for the world of this experiment and with its inputs.
+    """Returns the policies to begin with, for the world of this experiment, with its units and inputs.
 
     Raises:
         RunError: They are of other shapes than this experiment's.
@@ -238,8 +239,8 @@ def _fit_initial(config: ExperimentConfig, initial: Run | None) -> tuple[Any, ..
     templates = policy_templates(config, len(policies))
     fitted = []
     for index, (policy, template) in enumerate(zip(policies, templates, strict=True)):
-        # A network need not be a PolicyNetwork, which can have optional inputs.
-        policy = policy.with_inputs_of(template) if isinstance(policy, PolicyNetwork) else policy
+        # A network need not be a PolicyNetwork, which can be widened.
+        policy = policy.widened_to(template) if isinstance(policy, PolicyNetwork) else policy
         fitted.append(files.fit_tree(policy, template, f"the {policy_name(index)} policy to begin with"))
     return tuple(fitted)
 
@@ -286,6 +287,7 @@ def _train(
     if running:
         _report([trainings[index] for index in running], on_progress, note="compiling")
     while running:
+        raise_if_interrupted()
         before = [trainings[index] for index in running]
         after, rows = _advance(before)
         for index, training in zip(running, after, strict=True):
