@@ -37,7 +37,7 @@ def test_seeds_are_runs_of_their_own_and_fill_one_catalogue(tiny_toml, discovere
 
 
 def test_side_by_side_they_end_as_in_turn(tiny_toml, discovered, tmp_path, capsys):
-    arguments = ["--seeds", "2", "--together", "3", "--vary", "auxiliary.ppo.discount=0.8,0.9"]
+    arguments = ["--seeds", "2", "--together", "4", "--vary", "auxiliary.ppo.discount=0.8,0.9"]
     assert discover(tiny_toml, tmp_path, *arguments) == 0
     alone, beside = discovered, tmp_path / "tiny-central-seed0-discount0.9"
     assert load(beside) == load(alone)

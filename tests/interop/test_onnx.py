@@ -156,7 +156,7 @@ def local(objective, walls):
     return run, onnx.export(run) if walls else onnx.export(run, opset=17)
 
 
-@pytest.mark.parametrize(("objective", "walls"), [("C1", False), ("C2", True)])
+@pytest.mark.parametrize(("objective", "walls"), [pytest.param("C1", False, marks=pytest.mark.nightly), ("C2", True)])
 def test_a_robot_with_its_own_eyes_moves_by_its_model_as_in_the_world(objective, walls):
     run, model = local(objective, walls)
     assert model.difference(run, CHECKED) < onnx.TOLERANCE
@@ -331,7 +331,7 @@ def test_a_policy_that_is_not_there_is_refused(equivariant, index):
 
 
 def test_several_local_policies_do_not_make_a_cascade_of_robots_on_their_own():
-    single = local("C1", False)[0]
+    single = local("C2", True)[0]
     run = replace(single, cascade=eqx.tree_at(lambda c: c.policies, single.cascade, 2 * single.cascade.policies))
     with pytest.raises(InputError, match="no robot alone can tell"):
         onnx.export(run)

@@ -21,6 +21,7 @@ ANGLES = (0.0, 0.3, 0.7, np.pi / 4, np.pi / 2, 2.2)
 SHIFTS = ((0.0, 0.0), (13.0, -7.0))
 WORLD = WorldConfig(robots=8, half_width=500.0, half_height=500.0, scan_radius=1000.0)
 LIMIT = 1e-5 * WORLD.max_speed
+SIZES = [2, 8, *(pytest.param(size, marks=pytest.mark.nightly) for size in (5, 16, 32))]
 
 
 def polygon(robots, radius):
@@ -106,7 +107,7 @@ def pretrained(objective, sensing):
     return murmurate.pretrained(objective, sensing).cascade.policies[0]
 
 
-@pytest.mark.parametrize("robots", [2, 5, 8, 16, pytest.param(32, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("robots", SIZES)
 @pytest.mark.parametrize("sensing", [GlobalSensing(), VisibleSensing()], ids=["global", "visible"])
 @pytest.mark.parametrize("objective", ["C1", "C2"])
 def test_robots_with_their_own_eyes(objective, sensing, robots):
