@@ -38,7 +38,7 @@ def test_the_weights_are_small_and_whole():
             assert RunFolder(run.folder).metrics()
             assert run.experiment.sensing.rotation
             assert run.experiment.sensing.reflection
-            assert set(run.experiment.sizes) <= set(range(3, 29))
+            assert set(run.experiment.sizes) <= set(range(3, 33))
 
 
 def test_weights_that_are_packed_anew_keep_their_card(tmp_path):
