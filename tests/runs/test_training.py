@@ -268,7 +268,7 @@ def test_a_run_is_refined_by_gradients(finished, tmp_path):
     numbers |= {"policy_rate_end": 0.01}
     stage = {"learner": "gradients", "gradients": numbers}
     single_policy = {"min_policies": 1, "max_policies": 1}
-    config = tiny(seed=1, base=stage, discovery=single_policy)
+    config = tiny(seed=1, base=stage | {"gradients": numbers | {"average": 2}}, discovery=single_policy)
     run = train.discover(config, tmp_path / "unbroken", initial=initial)
     rows = RunFolder(run.folder).metrics()
     assert [row["update"] for row in rows] == [1, 2, 3, 4]
@@ -280,6 +280,8 @@ def test_a_run_is_refined_by_gradients(finished, tmp_path):
         train.discover(config, tmp_path / "run", on_progress=stop_after(2), initial=initial)
     resumed = train.discover(config, tmp_path / "run", resume=True, initial=initial)
     assert weights(resumed) == weights(run)
+    last = train.discover(tiny(seed=1, base=stage, discovery=single_policy), tmp_path / "last", initial=initial)
+    assert weights(last) != weights(run), "the result is an average"
     still = {"policy_rate": 0.0, "policy_rate_end": 0.0}
     frozen = tiny(seed=1, base=stage | {"gradients": numbers | still}, discovery=single_policy)
     assert weights(train.discover(frozen, tmp_path / "frozen", initial=initial)) == weights(initial)
