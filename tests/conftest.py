@@ -9,11 +9,16 @@ import gc
 import itertools
 import os
 import shutil
+import sys
 from pathlib import Path
 
 # Before JAX is loaded: one cache of compiled programs for all tests and the processes that they start.
 ROOT = Path(__file__).parents[1]
 os.environ.setdefault("MURMURATE_CACHE", str(ROOT / ".cache"))
+
+# Modules are compiled once for all workers and the processes that they start, whatever the environment says.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 # Two workers with a thread for every core each would wait for one another.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -21,8 +26,25 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 if os.environ.get("MURMURATE_TEST_COMPILER") != "full":
     # What a test runs once takes longer to compile than to run: it is not optimised, here and in the processes that
     # tests start, but for `make test-nightly`.
-    flags = "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
-    os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {flags} --xla_cpu_parallel_codegen_split_count=1"
+    simplifications = (
+        "batch-dot-simplification",
+        "convolution-group-converter",
+        "gather_simplifier",
+        "reshape-mover",
+        "simplify-conditional",
+        "simplify-sorts",
+        "simplify-while-loops",
+        "tree_reduction_rewriter",
+        "while-loop-constant-sinking",
+        "while-loop-invariant-code-motion",
+    )
+    flags = (
+        "--xla_backend_optimization_level=0",
+        "--xla_cpu_use_fusion_emitters=false",
+        "--xla_cpu_parallel_codegen_split_count=1",
+        f"--xla_disable_hlo_passes={','.join(simplifications)}",
+    )
+    os.environ["XLA_FLAGS"] = " ".join([os.environ.get("XLA_FLAGS", ""), *flags])
 
 # Tracing programs makes many objects that stay, among which the collector would look for garbage again and again.
 gc.set_threshold(200_000, 20, 50)

@@ -8,6 +8,8 @@ import os
 import sys
 import typing
 from collections import Counter
+from importlib.util import find_spec
+from pathlib import Path
 
 import jax
 import jaxtyping
@@ -15,6 +17,7 @@ import numpy as np
 from beartype import BeartypeConf, FrozenDict, beartype
 from beartype.roar import BeartypeCallHintParamViolation
 from jax import export
+from jaxtyping import _import_hook
 
 __all__ = ["CHECKED_CALLS", "begin_test", "check_types", "install"]
 
@@ -55,6 +58,14 @@ def install(package):
     anew at every call of the outer one.
     """
     jaxtyping.jaxtyped = _jaxtyped_where_there_are_shapes
+    cached, folder = _import_hook._optimized_cache_from_source, Path(find_spec(package).origin).parent
+
+    def of_the_package_alone(checker, path, *args, **kwargs):
+        # A module that one of the package imports is not changed, and its bytecode is where it always is.
+        is_ours = folder in Path(path).parents
+        return cached(checker, path, *args, **kwargs) if is_ours else _import_hook.cache_from_source(path)
+
+    _import_hook._optimized_cache_from_source = of_the_package_alone
     jaxtyping.install_import_hook(package, f"{__name__}.check_types")
 
 
@@ -65,16 +76,18 @@ def _jaxtyped_where_there_are_shapes(*, typechecker):
         if "<locals>" in thing.__qualname__:
             return thing
         has_shapes = any('"' in str(hint) or "'" in str(hint) for hint in thing.__annotations__.values())
-        return _sampled(thing, _jaxtyped(typechecker=typechecker)(thing) if has_shapes else typechecker(thing))
+        return _sampled(thing, _jaxtyped(typechecker=typechecker) if has_shapes else typechecker)
 
     return decorate
 
 
-def _sampled(function, checked):
+def _sampled(function, checker):
+    checked = functools.cache(lambda: checker(function))  # at the first call: many are never called
+
     @functools.wraps(function)
     def call(*args, **kwargs):
         _calls[function] += 1
-        return (checked if _calls[function] <= CHECKED_CALLS else function)(*args, **kwargs)
+        return (checked() if _calls[function] <= CHECKED_CALLS else function)(*args, **kwargs)
 
     return call
 

@@ -37,7 +37,6 @@ KINDS = {
             "rotation": True,
             "reflection": True,
             "unit_ratio": 2.0,
-            "resample_frames": True,
         },
     },
 }
