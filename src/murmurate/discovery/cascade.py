@@ -184,7 +184,7 @@ class Cascade(eqx.Module):
         return Trajectories(
             positions=np.ascontiguousarray(np.moveaxis(positions, -1, 0)),
             lengths=lengths.astype(np.int32),
-            switch=np.asarray(status.switch[:-1, :episodes].T, np.int32),
+            switch=np.asarray(status.switch, np.int32)[:-1, :episodes].T,
             at_rest=np.asarray(status.at_rest)[:episodes],
             terminated=np.asarray(status.terminated)[:episodes],
             signals={name: signals[name].T for name in self.world.objective.names},

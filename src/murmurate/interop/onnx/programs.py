@@ -151,7 +151,8 @@ def objective(run: Run, positions: Float[np.ndarray, "batch robots 2"]) -> Float
     """Returns the objective of configurations with the signals' own weights, as a cascade measures it."""
     robots = positions.shape[1]
     world = run.experiment.world if robots == run.experiment.world.robots else run.experiment.of_size(robots).world
-    return np.asarray(_objective(run, _batch_last(jnp.asarray(positions)), world))
+    measure = jax.jit(lambda positions: _objective(run, _batch_last(positions), world))
+    return np.asarray(measure(jnp.asarray(positions)))
 
 
 def _view_program(run: Run, index: int, foreign: Mapping[str, Strategy]) -> Program:
