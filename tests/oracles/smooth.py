@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import acos, asin, atan2, hypot, log1p, pi, sin, tan
+from math import acos, asin, atan2, cos, hypot, log1p, pi, sin, tan
 
 import numpy as np
 
@@ -50,4 +50,15 @@ def exposed(positions: np.ndarray, margin: float) -> list[float]:
         angles = sorted(atan2(*(q - p)[::-1]) for i, q in enumerate(positions) if i != k)
         gaps = [b - a for a, b in zip(angles, [*angles[1:], angles[0] + 2 * pi], strict=True)]
         shares.append(1 - max(0.0, 1 + margin - max(gaps) / pi))
+    return shares
+
+
+def convex(positions: np.ndarray, ring_radius: float) -> list[float]:
+    """Each robot's share: the least distance by which the others reach beyond it, over evenly spaced directions."""
+    count, shares = max(64, 4 * len(positions)), []
+    for k, p in enumerate(positions):
+        others = [q - p for i, q in enumerate(positions) if i != k]
+        turns = [2 * pi * turn / count for turn in range(count)]
+        depth = min(max(x * cos(turn) + y * sin(turn) for x, y in others) for turn in turns)
+        shares.append(1 - max(0.0, depth) / ring_radius)
     return shares

@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 
 from murmurate.errors import InputError
 from murmurate.geometry import smallest_ring
-from murmurate.world import Centered, Compact, Configuration, Exposed, SmoothSafety, SmoothVisible, WorldConfig
+from murmurate.world import Centered, Compact, Configuration, Convex, Exposed, SmoothSafety, SmoothVisible, WorldConfig
 from oracles import configurations, smooth
 
 RADIUS, SAFE = 1.0, 5.0
-SIGNALS = [SmoothVisible(), SmoothSafety(), Compact(), Centered(), Exposed()]
+SIGNALS = [SmoothVisible(), SmoothSafety(), Compact(), Centered(), Convex(), Exposed()]
 named = pytest.mark.parametrize("signal", SIGNALS, ids=lambda signal: signal.name)
 
 
@@ -44,6 +44,7 @@ def test_signals_are_the_oracles(seed, robots, side):
         "smooth_safety": smooth.smooth_safety(positions, SAFE, 0.1),
         "compact": smooth.compact(positions, radius),
         "centered": [2 - np.hypot(*p) / radius for p in positions],
+        "convex": smooth.convex(positions, radius),
         "exposed": smooth.exposed(positions, 0.02),
     }
     for signal in SIGNALS:
@@ -109,6 +110,17 @@ def test_an_enclosed_robot_is_led_out_through_the_widest_gap():
     assert share < 1
     assert slope[0, 0] > 0.1 * abs(slope[0, 1])
     assert slope[0, 0] > 0
+
+
+@pytest.mark.parametrize("robots", [5, 24])
+def test_a_robot_in_the_middle_of_a_ring_is_as_deep_as_its_nearest_edge_whatever_the_ring(robots):
+    radius = float(np.hypot(*smallest_ring(robots + 1, RADIUS, SAFE).positions[0]))
+    for wider in (1.2, 3.0):
+        around = ring(robots, wider)
+        shares = Convex()(configuration(np.concatenate([np.zeros((1, 2)), around])[:, :, None]))[:, 0]
+        depth = np.hypot(*around[0]) * np.cos(np.pi / robots)
+        assert 1 - shares[0] == pytest.approx(depth / radius, rel=2e-3)
+        assert (shares[1:] == 1).all()
 
 
 @named

@@ -36,7 +36,7 @@ from murmurate.world.scheduling import (
 )
 from murmurate.world.sensing import Frames, GlobalSensing, ScanSensing, Sensing, VisibleSensing
 from murmurate.world.signals import OBJECTIVES, Configuration, Objective, Signal, objective_signals
-from murmurate.world.smooth import Centered, Compact, Exposed, SmoothSafety, SmoothVisible
+from murmurate.world.smooth import Centered, Compact, Convex, Exposed, SmoothSafety, SmoothVisible
 from murmurate.world.start_files import check_configurations, checked_starts, read_named_starts, read_starts
 from murmurate.world.start_sets import start_set
 from murmurate.world.starts import (
@@ -66,6 +66,7 @@ __all__ = [
     "ClusterStart",
     "Compact",
     "Configuration",
+    "Convex",
     "CornerStart",
     "DeadZone",
     "DistributedStart",

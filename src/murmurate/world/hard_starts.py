@@ -322,7 +322,7 @@ class SurroundedStart(ComputedStart):
     """
 
     min_spacing: float = 1.1
-    max_spacing: float = 3.2
+    max_spacing: float = 8.0
 
     def __check_init__(self) -> None:
         check_number("min_spacing", self.min_spacing, 1 + CLEARANCE, MAX_INTEGER)
@@ -349,7 +349,7 @@ class SurroundedStart(ComputedStart):
         xp, bounds, robots = namespace(shared), _bounds(shared, world), world.robots
         several, space, turn, inner_turn, loose, off, towards, centred = shared[:8]
         least = self.min_spacing * 2 * world.radius
-        spacing = least + (self.max_spacing - self.min_spacing) * 2 * world.radius * space
+        spacing = least + (self.max_spacing - self.min_spacing) * 2 * world.radius * space**2
 
         wanted = xp.where(several < 0.65, 1, xp.where(several < 0.9, 2, max(robots // 4, 1)))
         widest = xp.minimum(_ring_radius(spacing, robots - wanted, xp), bounds.min())
@@ -362,9 +362,11 @@ class SurroundedStart(ComputedStart):
 
         # The moves of those on the ring and of those inside share what keeps them apart.
         touch = (1 + CLEARANCE) * 2 * world.radius
-        room = xp.maximum(radius - inner_radius - touch, 0)
+        within = xp.minimum(radius - touch, radius * xp.cos(math.pi / xp.maximum(outside, 2)))
+        room = xp.maximum(within - inner_radius, 0)
         along = xp.where(outside > 1, 2 * radius * xp.sin(math.pi / outside) - touch, room)
-        jitter = 0.35 * loose * xp.maximum(xp.minimum(xp.minimum(room, along), bounds.min() - radius), 0)
+        most = xp.minimum(xp.minimum(room, along), 4 * world.radius)
+        jitter = 0.35 * loose * xp.maximum(xp.minimum(most, bounds.min() - radius), 0)
         distance = (room - jitter) * xp.sqrt(off) * xp.where(centred < 0.3, 0.15, 1.0)
 
         index, is_inside = xp.arange(robots), xp.arange(robots) < inside[:, None]

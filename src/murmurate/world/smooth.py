@@ -21,7 +21,7 @@ from murmurate.world.signals import Configuration, Signal
 
 Array = Any  # a NumPy or a JAX array
 
-__all__ = ["Centered", "Compact", "Exposed", "SmoothSafety", "SmoothVisible"]
+__all__ = ["Centered", "Compact", "Convex", "Exposed", "SmoothSafety", "SmoothVisible"]
 
 STEEPNESS = 10 / 3
 """How steeply the first hidden robot counts against all of them."""
@@ -29,6 +29,9 @@ STEEPNESS = 10 / 3
 SOFTNESS = 0.03
 """Lack of room for a line of sight below which it counts by its square, and beyond which in proportion: a robot that
 is barely hidden is hidden."""
+
+LEAST_DIRECTIONS = 64
+"""Directions in which the depth inside the convex hull is measured, or four for each robot."""
 
 
 @Signal.register("smooth_visible")
@@ -154,6 +157,29 @@ class Exposed(Signal):
         widest = xp.max(xp.where(angle >= 4 * math.pi, 0.0, gap), axis=1)
         lack = 1 + self.margin - widest / math.pi
         return 1 - xp.where(lack > 0, lack, 0.0)
+
+
+@Signal.register("convex")
+class Convex(Signal):
+    """How deep each robot is inside the convex hull of the others: 1 at the hull and outside of it.
+
+    The widest gap around a robot in the middle of a wide ring hardly grows as the robot moves outwards. Its depth falls
+    all the way. The depth is the least over evenly spaced directions of how far the others reach beyond the robot.
+    """
+
+    def __call__(self, configuration: Configuration) -> Float[Array, "robots *batch"]:
+        """Returns 1 - max(0, depth) / the radius of the smallest valid ring."""
+        xp, positions = configuration.xp, configuration.positions
+        robots = positions.shape[0]
+        count = max(LEAST_DIRECTIONS, 4 * robots)
+        turns = xp.reshape(xp.arange(count) * (2 * math.pi / count), (count, *[1] * (positions.ndim - 1)))
+        along = xp.cos(turns) * positions[None, :, 0] + xp.sin(turns) * positions[None, :, 1]
+        farthest = xp.max(along, axis=1, keepdims=True)
+        # A robot that is the farthest itself is compared with the second.
+        is_farthest = xp.cumsum(along == farthest, axis=1) * (along == farthest) == 1
+        second = xp.max(xp.where(is_farthest, -math.inf, along), axis=1, keepdims=True)
+        depth = xp.min(xp.where(is_farthest, second, farthest) - along, axis=0)
+        return 1 - xp.where(depth > 0, depth, 0.0) / _ring_radius(configuration)
 
 
 def _pairs(configuration: Configuration) -> tuple[Any, Any, Any, Any]:
