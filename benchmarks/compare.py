@@ -45,7 +45,7 @@ POINT = (
     (*C1, "--methods", "learned", "--robots", "8", "--starts", FAMILIES),
     (*C1, "--methods", "circle,two-color", "--robots", "4,8,12,16", "--sensing", "global,visible"),
 )
-HARD_STARTS = ("--starts", "random,cluster,corner,wall,walls,tight-grid", "--robots", "4,8,16", "--episodes", "200")
+HARD_STARTS = ("--starts", "random,cluster,corner,wall,walls,tight-grid", "--robots", "4,8,12,16", "--episodes", "200")
 HARD = (("--methods", "learned,circle", "--sensing", "visible,global", *HARD_STARTS),)
 
 
