@@ -45,8 +45,12 @@ POINT = (
     (*C1, "--methods", "learned", "--robots", "8", "--starts", FAMILIES),
     (*C1, "--methods", "circle,two-color", "--robots", "4,8,12,16", "--sensing", "global,visible"),
 )
-HARD_STARTS = ("--starts", "random,cluster,corner,wall,walls,tight-grid", "--robots", "4,8,12,16", "--episodes", "200")
-HARD = (("--methods", "learned,circle", "--sensing", "visible,global", *HARD_STARTS),)
+HARD_STARTS = ("--starts", "random,cluster,corner,wall,walls,tight-grid", "--episodes", "200")
+SAME_EYES = ("--methods", "learned,circle", "--sensing", "visible,global")
+HARD = (
+    (*SAME_EYES, "--robots", "4,8,12,16", *HARD_STARTS),
+    (*SAME_EYES, "--robots", "4,8", "--schedulers", "ssync", *HARD_STARTS),
+)
 
 
 def compare(parts: Sequence[tuple[str, ...]], folder: Path, page: Path) -> None:
