@@ -3,8 +3,8 @@
 python -m benchmarks.compare [--out docs]
 
 Writes the folder comparison and into results.md (C2), the folder comparison/C1 and into point.md (C1), and the folder
-comparison/hard and into hard.md (starts that are hard for a controller; alone with --hard, in ten minutes). Conditions
-that the folders hold are not evaluated again: delete comparison.json after new weights.
+comparison/hard and into hard.md (starts that are hard for a controller; alone with --hard, in twenty minutes).
+Conditions that the folders hold are not evaluated again: delete comparison.json after new weights.
 """
 
 from __future__ import annotations
