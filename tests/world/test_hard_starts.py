@@ -104,6 +104,10 @@ def test_a_ring_surrounds_one_robot_or_a_few(robots):
     assert (inside >= 1).all()
     assert (inside == 1).mean() > 0.4
     assert (inside > 1).mean() > 0.15 or robots == 4
+    # Neighbours on the ring are 2.2 to 16 units apart.
+    tight, wide = np.quantile(span(points), [0.05, 0.95]) * np.sin(np.pi / robots)
+    assert tight < 4
+    assert wide > 9
     middle = points.mean(axis=1) / world_of(robots).bounds
     assert (np.abs(np.quantile(middle, [0.1, 0.9], axis=0)) > 0.4).all(), "placed all over the world"
 

@@ -313,7 +313,7 @@ class SurroundedStart(ComputedStart):
     A robot in the middle of a ring hides robots on opposite sides of it from each other. It has to find the way out
     between two of them. One robot is inside in 65% of the configurations, two are in 25%, and a quarter of all robots
     in 10%; one where there is no room for more. The robots inside are at the middle or anywhere else inside. The ring
-    is regular, or its robots are moved at random.
+    is regular, or its robots are moved at random. Tight rings are more frequent than wide ones.
 
     Attributes:
         min_spacing: Least distance between the centres of neighbours, in robot diameters.

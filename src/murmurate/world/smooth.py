@@ -161,25 +161,21 @@ class Exposed(Signal):
 
 @Signal.register("convex")
 class Convex(Signal):
-    """How deep each robot is inside the convex hull of the others: 1 at the hull and outside of it.
+    """How deep each robot is inside the convex hull of the swarm: 1 for those on the hull.
 
     The widest gap around a robot in the middle of a wide ring hardly grows as the robot moves outwards. Its depth falls
-    all the way. The depth is the least over evenly spaced directions of how far the others reach beyond the robot.
+    all the way. The depth is the least over evenly spaced directions of how far the swarm reaches beyond the robot.
     """
 
     def __call__(self, configuration: Configuration) -> Float[Array, "robots *batch"]:
-        """Returns 1 - max(0, depth) / the radius of the smallest valid ring."""
+        """Returns 1 - depth / the radius of the smallest valid ring."""
         xp, positions = configuration.xp, configuration.positions
         robots = positions.shape[0]
         count = max(LEAST_DIRECTIONS, 4 * robots)
         turns = xp.reshape(xp.arange(count) * (2 * math.pi / count), (count, *[1] * (positions.ndim - 1)))
         along = xp.cos(turns) * positions[None, :, 0] + xp.sin(turns) * positions[None, :, 1]
-        farthest = xp.max(along, axis=1, keepdims=True)
-        # A robot that is the farthest itself is compared with the second.
-        is_farthest = xp.cumsum(along == farthest, axis=1) * (along == farthest) == 1
-        second = xp.max(xp.where(is_farthest, -math.inf, along), axis=1, keepdims=True)
-        depth = xp.min(xp.where(is_farthest, second, farthest) - along, axis=0)
-        return 1 - xp.where(depth > 0, depth, 0.0) / _ring_radius(configuration)
+        depth = xp.min(xp.max(along, axis=1, keepdims=True) - along, axis=0)
+        return 1 - depth / _ring_radius(configuration)
 
 
 def _pairs(configuration: Configuration) -> tuple[Any, Any, Any, Any]:
