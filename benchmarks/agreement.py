@@ -107,7 +107,7 @@ def _numbers(label: str, robots: int, on_cpu: Any, on_device: Any) -> tuple[Any,
     size = sum(value.size for value in on_cpu.values())
     return (
         label,
-        robots,
+        str(robots),
         f"{size:,}",
         f"by {difference:.1e}",
         f"{NUMBERS:g}",
@@ -120,7 +120,7 @@ def _curve(label: str, on_cpu: Any, on_device: Any) -> tuple[Any, ...]:
     difference = float(np.abs(on_cpu - on_device).max() / np.abs(on_cpu).max())
     return (
         label,
-        10,
+        "10",
         f"{on_cpu.size:,}",
         f"by {difference:.1e}",
         f"{CURVES:g}",

@@ -8,9 +8,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from benchmarks import figure, machine, peers, report
+from benchmarks import agreement, figure, machine, peers, report
 from benchmarks.cases import SENSING, SIZED, STEP, TRAINING, scattered, sized
 from benchmarks.measure import Case, Timing, compiler_cost
+
+from murmurate.runs.table import as_markdown
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -99,3 +101,19 @@ def test_the_figure_draws_every_size(data):
     left = figure.figure(data).axes[-2]
     drawn = np.concatenate([line.get_xdata() for line in left.lines])
     assert {4, 10, 32, 128, 256, 1024} <= set(drawn.astype(int))
+
+
+def test_the_table_of_agreement_names_what_differs():
+    seen = np.zeros(200_000, bool)
+    two_differ = seen.copy()
+    two_differ[:2] = True
+    rows = [
+        agreement._flags("who sees whom", 4, seen, two_differ),
+        agreement._flags("who touches", 4, seen[:100], two_differ[:100]),
+        agreement._numbers("signals", 4, {"safe": np.zeros(8)}, {"safe": np.full(8, 2e-4)}),
+        agreement._curve("5 updates, central", np.array([1.0, 2.0]), np.array([1.0, 2.01])),
+    ]
+    assert [row[-1] for row in rows] == [True, False, False, True]
+    table = as_markdown(("what", "N", "compared", "differ", "allowed", "agrees"), [row[:-1] for row in rows])
+    assert "| who touches | 4 | 100 | 2 | 1e-05 of them | no |" in table
+    assert "| 5 updates, central | 10 | 2 | by 5.0e-03 | 0.01 | yes |" in table
