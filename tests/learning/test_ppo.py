@@ -15,7 +15,7 @@ from probes import Line, begin, fresh, parabola, train
 
 from murmurate.errors import InputError
 from murmurate.learning import Batch, Hyperparameters, PPOConfig, Schedule, collect, set_log_std
-from murmurate.learning.ppo import split_minibatches
+from murmurate.learning.ppo import _values, split_minibatches
 
 LINE = Line(jnp.asarray(10))
 
@@ -247,3 +247,55 @@ def test_no_such_learner(fields):
 def test_hyperparameters_are_arrays():
     """As plain numbers they would be compiled in."""
     assert all(isinstance(x, jax.Array) for x in jax.tree.leaves(Hyperparameters.from_config(PPOConfig())))
+
+
+@pytest.mark.parametrize("horizon", [1, 3, 10, 1000])
+def test_every_step_has_the_values_before_and_after_it(horizon):
+    """However many episodes end: at every step, at some, or at none."""
+    value = probes.Parabola(jnp.asarray(0.7), jnp.asarray(-0.2))
+    env = Line(jnp.asarray(horizon))
+    state = fresh(env, jax.random.key(3), 5)
+    wild = probes.Linear(jnp.asarray(0.0), jnp.asarray(0.3), jnp.asarray(1.0))
+    _, rollout = jax.jit(collect, static_argnums=4)(env, wild, state, jax.random.key(4), 12)
+    before, after = jax.jit(_values)(wild, value, rollout)
+    seen = np.asarray(rollout.observation), np.asarray(rollout.next_observation)
+    np.testing.assert_allclose(before[:, 0], 0.7 * seen[0] ** 2 - 0.2, rtol=1e-6)
+    goes_on = ~np.asarray(rollout.transition.terminated)
+    np.testing.assert_allclose(after[:, 0][goes_on], (0.7 * seen[1] ** 2 - 0.2)[goes_on], rtol=1e-6)
+    assert horizon > 10 or np.asarray(rollout.transition.truncated).any()
+    assert np.isfinite(after).all()
+
+
+class Squared(probes.Linear):
+    """A policy on the square of the observation, which it computes without its weights."""
+
+    def features(self, observation):
+        return {"square": observation**2}
+
+    def __call__(self, seen):
+        return super().__call__(seen["square"])
+
+
+class ValueOfSquare(probes.Parabola):
+    """A value network on the features of `Squared`."""
+
+    def __call__(self, seen):
+        return (self.curve * seen["square"] + self.offset)[None]
+
+
+class OnSight(probes.Linear):
+    """The same policy, without features."""
+
+    def __call__(self, observation):
+        return super().__call__(observation**2)
+
+
+def test_features_are_computed_once_and_change_nothing():
+    numbers = (jnp.zeros(()), jnp.zeros(()), jnp.full((), -1.0))
+    value = ValueOfSquare(jnp.zeros(()), jnp.zeros(()))
+    with_features, rows = train(begin(LINE, value, policy=Squared(*numbers)), LINE, 5)
+    without, others = train(begin(LINE, parabola(), policy=OnSight(*numbers)), LINE, 5)
+    assert moved(value, with_features.value)
+    for first, second in ((with_features.policy, without.policy), (with_features.value, without.value), (rows, others)):
+        for a, b in zip(leaves(first), leaves(second), strict=True):
+            np.testing.assert_allclose(a, b, rtol=1e-5, atol=1e-7)

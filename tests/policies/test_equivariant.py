@@ -182,3 +182,14 @@ def test_each_robot_draws_an_action_of_its_own(trained, landmark):
     assert distribution.log_prob(positions).shape == (5, 4)
     np.testing.assert_allclose(distribution.mean, call(policy, positions), rtol=1e-10)
     np.testing.assert_allclose(distribution.log_std, policy.log_std + np.log(WORLD.max_speed))
+
+
+@BOTH
+def test_the_networks_take_the_features_of_positions_in_their_place(trained, landmark):
+    policy, value = trained[landmark]
+    positions = np.concatenate([coincidences(), swarm(7)], axis=-1)
+    features = eqx.filter_jit(lambda policy, positions: policy.features(positions))(policy, positions)
+    np.testing.assert_array_equal(features.positions, positions)
+    assert features.shadows.shape == (6, 5, 5, positions.shape[-1])
+    for network in (policy, value):
+        np.testing.assert_allclose(call(network, features), call(network, positions), rtol=1e-12, atol=1e-13)

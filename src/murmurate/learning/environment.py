@@ -82,6 +82,9 @@ class Policy(Protocol):
     If it has an array `log_std`, the logarithm of the standard deviation of its actions, training sets this array
     before the first update, and at every update with `exploration = "scheduled"`. Without one, use
     `exploration = "learned"`.
+
+    If it has a method `features`, policy and value network are called with `features(observation)` in place of the
+    observation. It is computed once for each observation, so what no weight takes part in belongs there.
     """
 
     def distribution(self, observation: Any) -> ActionDistribution:

@@ -50,7 +50,15 @@ class TrainState(eqx.Module):
 
 
 class Rollout(eqx.Module):
-    """Trajectories collected with one policy; time first, batch last."""
+    """Trajectories collected with one policy; time first, batch last.
+
+    Attributes:
+        observation: What the networks act on: the policy's features of each observation, where it has any.
+        next_observation: What was observed after each step, before any reset.
+        action: The sampled actions.
+        log_prob: Their log densities.
+        transition: The results of the steps.
+    """
 
     observation: Any
     next_observation: Any
@@ -101,7 +109,7 @@ def collect(env: Environment, policy: Policy, state: Any, key: PRNGKeyArray, ste
 
     def step(state: Any, key: PRNGKeyArray) -> tuple[Any, Rollout]:
         sample_key, reset_key = jax.random.split(key)
-        observation = env.observe(state)
+        observation = _features(policy, env.observe(state))
         distribution = policy.distribution(observation)
         action = distribution.sample(sample_key)
         state, transition, next_observation = step_with_autoreset(env, state, action, reset_key)
@@ -110,24 +118,54 @@ def collect(env: Environment, policy: Policy, state: Any, key: PRNGKeyArray, ste
     return jax.lax.scan(step, state, jax.random.split(key, steps))
 
 
+def _features(policy: Policy, observation: Any) -> Any:
+    """Returns what both networks are called with: the policy's features of an observation, where it has any."""
+    features = getattr(policy, "features", None)
+    return observation if features is None else features(observation)
+
+
 def flatten_time(x: Array) -> Array:
     """(time, ..., batch) -> (..., time * batch)."""
     x = jnp.moveaxis(x, 0, -2)
     return x.reshape((*x.shape[:-2], -1))
 
 
-def _batch(value: Value, rollout: Rollout, hyper: Hyperparameters, shape: Shape) -> Batch:
+def _batch(policy: Policy, value: Value, rollout: Rollout, hyper: Hyperparameters, shape: Shape) -> Batch:
     """Computes advantages and value targets."""
     transition: Transition = rollout.transition
     reward = hyper.reward_scale * transition.credit
-    # One step of all worlds at a time, which bounds the memory.
-    before, after = jax.lax.map(value, rollout.observation), jax.lax.map(value, rollout.next_observation)
+    before, after = _values(policy, value, rollout)
     ends = (transition.terminated[:, None], transition.truncated[:, None])
     advantage = generalized_advantage(reward, before, after, *ends, hyper.discount, hyper.gae_lambda)
     target = advantage + before if shape.value_target == "gae" else rewards_to_go(reward, after, *ends)
     advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
     flat = (rollout.observation, rollout.action, rollout.log_prob, advantage, target)
     return Batch(*jax.tree.map(flatten_time, flat))
+
+
+def _values(policy: Policy, value: Value, rollout: Rollout) -> tuple[Array, Array]:
+    """Returns the values before and after every step.
+
+    What is observed after a step is observed before the next one, unless the episode is then begun anew. So values of
+    the last step, and of those after which an episode was truncated, are all that is computed besides.
+    """
+    # One step of all worlds at a time, which bounds the memory.
+    before = jax.lax.map(value, rollout.observation)
+    steps, batch = rollout.transition.truncated.shape
+    other = rollout.transition.truncated.at[-1].set(True).reshape(-1)
+    order = jnp.argsort(~other, stable=True)
+    observations = jax.tree.map(flatten_time, rollout.next_observation)
+
+    def compute(carry: tuple[Any, Array]) -> tuple[Any, Array]:
+        turn, after = carry
+        chosen = jax.lax.dynamic_slice_in_dim(order, turn * batch, batch)
+        observation = jax.tree.map(lambda x: x[..., chosen], observations)
+        return turn + 1, after.at[:, chosen].set(value(_features(policy, observation)))
+
+    after = flatten_time(jnp.concatenate([before[1:], before[-1:]]))
+    turns = -(-jnp.sum(other, dtype=jnp.int32) // batch)
+    _, after = jax.lax.while_loop(lambda carry: carry[0] < turns, compute, (jnp.zeros((), jnp.int32), after))
+    return before, jnp.moveaxis(after.reshape(after.shape[0], steps, batch), 1, 0)
 
 
 def split_minibatches(batch: Any, key: PRNGKeyArray, count: int) -> Any:
@@ -186,7 +224,7 @@ def _update(
         )
     env_state, rollout = sharding.shard_batch(collect(env, state.policy, state.env_state, collect_key, shape.steps))
     # A shuffle takes steps from everywhere, so every device gets the whole batch, once.
-    batch = sharding.replicate(_batch(state.value, rollout, hyper, shape))
+    batch = sharding.replicate(_batch(state.policy, state.value, rollout, hyper, shape))
 
     def epoch(state: TrainState, key: PRNGKeyArray) -> tuple[TrainState, dict[str, Any]]:
         def step(state: TrainState, part: Batch) -> tuple[TrainState, dict[str, Any]]:

@@ -87,6 +87,14 @@ class PolicyNetwork(eqx.Module):
     def __call__(self, observation: Any) -> Float[Array, "robots 2 *batch"]:
         """Returns the most likely velocities, world units per step."""
 
+    def features(self, observation: Any) -> Any:
+        """Returns what is computed from an observation before any weight takes part: here, the observation itself.
+
+        Training learns from each observation several times. It computes the features once, and gives them to both
+        networks in place of the observation. A network that overrides this method, and its value network, take either.
+        """
+        return observation
+
     def distribution(self, observation: Any) -> Gaussian:
         """Returns normal velocities around the most likely ones."""
         mean = self(observation)

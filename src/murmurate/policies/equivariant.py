@@ -25,7 +25,15 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from murmurate.errors import InputError, check_number
 from murmurate.geometry._batch_last import sum_terms
 from murmurate.policies.base import Policy, PolicyNetwork, check_hidden
-from murmurate.policies.features import pair_channels, point, robot_channels, surroundings
+from murmurate.policies.features import (
+    PositionFeatures,
+    Surroundings,
+    pair_channels,
+    point,
+    position_features,
+    robot_channels,
+    surroundings,
+)
 from murmurate.policies.layers import Dense, Linear, bounded, widened
 from murmurate.representation import short_repr
 from murmurate.world.config import WorldConfig
@@ -96,9 +104,15 @@ class EquivariantNetwork(PolicyNetwork):
         self.world = world
         self.landmark = landmark
 
-    def __call__(self, positions: Float[Array, "robots 2 *batch"]) -> Float[Array, "robots 2 *batch"]:
+    def features(self, observation: Float[Array, "robots 2 *batch"]) -> PositionFeatures:
+        """Returns positions with what takes longest to compute from them, a sum over all triples of robots."""
+        return position_features(observation, self.world)
+
+    def __call__(
+        self, observation: Float[Array, "robots 2 *batch"] | PositionFeatures
+    ) -> Float[Array, "robots 2 *batch"]:
         """Returns the most likely velocities, world units per step."""
-        around = surroundings(positions, self.basis, self.world, self.landmark)
+        positions, around = _seen(observation, self.basis, self.world, self.landmark)
         nodes = jnp.tanh(self.node(around.robot))
         observing, observed = self.mine(nodes), self.theirs(nodes)
         g, h = self.head(jnp.tanh(self.pair(around.pair) + observing[:, :, None] + observed[:, None, :]))
@@ -158,6 +172,16 @@ class EquivariantValue(eqx.Module):
         self.world = world
         self.landmark = landmark
 
-    def __call__(self, positions: Float[Array, "robots 2 *batch"]) -> Float[Array, "robots *batch"]:
+    def __call__(
+        self, observation: Float[Array, "robots 2 *batch"] | PositionFeatures
+    ) -> Float[Array, "robots *batch"]:
         """Returns every robot's value of every configuration."""
-        return self.valuation(surroundings(positions, self.basis, self.world, self.landmark).robot)
+        return self.valuation(_seen(observation, self.basis, self.world, self.landmark)[1].robot)
+
+
+def _seen(
+    observation: Float[Array, "robots 2 *batch"] | PositionFeatures, basis: int, world: WorldConfig, landmark: bool
+) -> tuple[Float[Array, "robots 2 *batch"], Surroundings]:
+    """Returns the positions in an observation or in its features, and what every robot sees there."""
+    positions, shadows = observation if isinstance(observation, PositionFeatures) else (observation, None)
+    return positions, surroundings(positions, basis, world, landmark, shadows=shadows)

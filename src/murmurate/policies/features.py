@@ -19,9 +19,11 @@ from murmurate.world.config import WorldConfig
 
 __all__ = [
     "SHADOW_CHANNELS",
+    "PositionFeatures",
     "Surroundings",
     "pair_and_robot_features",
     "pair_channels",
+    "position_features",
     "radial_basis",
     "robot_channels",
     "surroundings",
@@ -68,6 +70,20 @@ class Surroundings(NamedTuple):
     logarithm: Float[Array, "robots others *batch"]
     pair: Float[Array, "pair_channels robots others *batch"]
     robot: Float[Array, "robot_channels robots *batch"]
+
+    __repr__ = short_repr
+
+
+class PositionFeatures(NamedTuple):
+    """Positions, and those features that take longest to compute from them.
+
+    Attributes:
+        positions: Positions of all robots, world units.
+        shadows: How near third robots come to each line of sight: see `_shadows`.
+    """
+
+    positions: Float[Array, "robots 2 *batch"]
+    shadows: Float[Array, "shadow_channels robots others *batch"]
 
     __repr__ = short_repr
 
@@ -201,6 +217,12 @@ def point(
     return x / soft, y / soft, radial_basis(jnp.log(distance / scale + 1e-6), basis)
 
 
+def position_features(positions: Float[Array, "robots 2 *batch"], world: WorldConfig) -> PositionFeatures:
+    """Returns positions with those features that take longest to compute from them."""
+    ux, uy, distance = _directions(*_offsets(positions))
+    return PositionFeatures(positions, _shadows(ux, uy, distance, world.radius))
+
+
 def surroundings(
     positions: Float[Array, "robots 2 *batch"],
     basis: int,
@@ -208,13 +230,25 @@ def surroundings(
     landmark: bool,
     *,
     scale_free: bool = False,
+    shadows: Float[Array, "shadow_channels robots others *batch"] | None = None,
 ) -> Surroundings:
     """Returns the features of every robot where each knows all positions; for the arguments see below."""
+    offsets = _offsets(positions)
+    target = (-positions[:, 0], -positions[:, 1])
+    return pair_and_robot_features(*offsets, *target, basis, world, landmark, scale_free=scale_free, shadows=shadows)
+
+
+def _offsets(positions: Float[Array, "robots 2 *batch"]) -> tuple[Array, Array, Array]:
+    """Returns every robot's coordinates relative to every other, and which robots are at different places."""
     dx = positions[None, :, 0] - positions[:, None, 0]
     dy = positions[None, :, 1] - positions[:, None, 1]
-    apart = dx * dx + dy * dy > 0
-    target = (-positions[:, 0], -positions[:, 1])
-    return pair_and_robot_features(dx, dy, apart, *target, basis, world, landmark, scale_free=scale_free)
+    return dx, dy, dx * dx + dy * dy > 0
+
+
+def _directions(dx: Array, dy: Array, apart: Array) -> tuple[Array, Array, Array]:
+    """Returns unit vectors, 0 where robots are not apart, and distances, 1 there."""
+    distance = jnp.sqrt(jnp.where(apart, dx * dx + dy * dy, 1.0))
+    return jnp.where(apart, dx / distance, 0.0), jnp.where(apart, dy / distance, 0.0), distance
 
 
 def pair_and_robot_features(
@@ -228,6 +262,7 @@ def pair_and_robot_features(
     landmark: bool,
     *,
     scale_free: bool = False,
+    shadows: Float[Array, "shadow_channels robots others *batch"] | None = None,
 ) -> Surroundings:
     """Returns the features of every robot and pair, from the robots that each robot sees.
 
@@ -242,10 +277,9 @@ def pair_and_robot_features(
         landmark: Whether the gathering point is known.
         scale_free: Whether distances beyond the safe distance are normalised by the mean distance, and far robots are
             averaged instead of counted, so that large, wide swarms look like small, narrow ones.
+        shadows: What `position_features` returns, if it is known already.
     """
-    square = dx * dx + dy * dy
-    distance = jnp.sqrt(jnp.where(apart, square, 1.0))
-    ux, uy = (jnp.where(apart, d / distance, 0.0) for d in (dx, dy))
+    ux, uy, distance = _directions(dx, dy, apart)
     others = jnp.maximum(jnp.sum(apart, axis=1), 1).astype(dx.dtype)
     logarithm = jnp.log(distance / world.safe_distance + 1e-6)
     mean = jnp.sum(jnp.where(apart, distance, 0.0), axis=1) / others
@@ -264,7 +298,7 @@ def pair_and_robot_features(
     # functions to a range.
     ranges = basis // 2
     rx, ry = (s[: 2 * ranges].reshape((ranges, 2, *s.shape[1:])).sum(axis=1)[:, :, None] for s in (sx, sy))
-    shadows = _shadows(ux, uy, distance, world.radius)
+    shadows = _shadows(ux, uy, distance, world.radius) if shadows is None else shadows
     pair = jnp.concatenate([radial, rx * ux + ry * uy, rx * uy - ry * ux, shadows])
     robot = [crowd, jnp.sqrt(sx * sx + sy * sy), shadows.sum(axis=2) / 4]
     if landmark:
