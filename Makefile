@@ -13,6 +13,8 @@ OUT ?= runs/$(EXPERIMENT)-equivariant-seed$(SEED)
 # Compiling every module takes as long as unpacking them. A run imports one in ten, which Python compiles and keeps.
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --constraint $(CONSTRAINTS) --editable
 unexport PYTHONDONTWRITEBYTECODE
+# Tests import much more, in many processes. Some modules are for other versions of Python.
+COMPILE := { $(BIN)/python -m compileall -q -j 0 $(VENV) >/dev/null 2>&1 || true; }
 
 # An environment that was made by hand has no stamp, and needs no installation where it has the packages.
 has = [ ! -e $@ ] && $(BIN)/python -c 'import sys; [*map(__import__, sys.argv[1:])]' $(1) 2>/dev/null
@@ -24,8 +26,7 @@ $(VENV)/.core: pyproject.toml $(CONSTRAINTS)
 	touch $@
 
 $(VENV)/.dev: $(VENV)/.core
-	$(call has,murmurate pytest sphinx) || $(INSTALL) '.[dev]'
-	$(BIN)/python -m compileall -q -j 0 $(VENV) >/dev/null 2>&1 || true  # some modules are for other versions of Python
+	$(call has,murmurate pytest sphinx) || { $(INSTALL) '.[dev]' && $(COMPILE); }
 	touch $@
 
 # Exit status 5: the run is finished, with fewer valid patterns than asked for, which it says itself.
