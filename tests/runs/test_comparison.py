@@ -330,6 +330,19 @@ def test_runs_of_other_sizes_starts_and_sensing_are_compared():
     assert shared_experiment({"first": base, "other": other}) is base
 
 
+def test_a_learned_method_makes_of_slow_moves_what_it_was_trained_to(setting):
+    """Baselines do as the experiment says; what counts as rest is the same for all."""
+    slow = {"dead_zone": 0.05, "damping": 0.7, "sidestep": 0.5}
+    other = config_io.replaced(tiny(policy={"use": "local", "hidden": [8, 4]}), {"rest": slow | {"window": 9}})
+    shared_experiment({"first": setting.base, "other": config_io.replaced(setting.base, {"rest": slow})})
+    condition = Condition("other", "visible", "fsync", 4, "random")
+    rest = setting.problem(condition, other).rest
+    assert {name: getattr(rest, name) for name in slow} == slow
+    usual = setting.problem(replace(condition, method="circle")).rest
+    assert (rest.window, rest.max_steps) == (usual.window, usual.max_steps)
+    assert (usual.dead_zone, usual.damping) == (setting.base.rest.dead_zone, setting.base.rest.damping) != (0.05, 0.7)
+
+
 def test_contact_and_leaving_are_counted_apart(setting):
     """Two robots touch, one leaves, and both happen in the same step; another episode is a valid pattern."""
     world = setting.base.world

@@ -260,7 +260,7 @@ def test_slow_moves_are_damped_the_more_the_slower_they_are():
 
 
 def test_robots_nearer_than_the_safe_distance_step_apart_instead_of_standing_still(world):
-    """By half of what is missing, at least as far as a move has to be; from several, mostly from the nearest."""
+    """By half of what is missing, at least a fifth of the slowest move; from several, mostly from the nearest."""
     safe = CONFIG.safe_distance
     pairs = np.array([[-9.0, 8.0], [-9.0 + safe - 1.0, 8.0], [9.0, -8.0], [9.0, -8.0 + safe - 0.01]])
     sensing = VisibleSensing(rotation=True, reflection=True, unit_ratio=2.0)
@@ -270,7 +270,7 @@ def test_robots_nearer_than_the_safe_distance_step_apart_instead_of_standing_sti
         state = env.state(jnp.asarray(positions, jnp.float32), 7)
         return np.asarray(wrapped_step(env, state, jnp.zeros((4, 2)))[0].positions) - positions
 
-    expected = np.array([[-0.51, 0], [0.51, 0], [0, -0.1], [0, 0.1]])
+    expected = np.array([[-0.51, 0], [0.51, 0], [0, -0.02], [0, 0.02]])
     np.testing.assert_allclose(moved(pairs), expected, atol=1e-5)
     np.testing.assert_allclose(moved(np.array([[-9.0, 0.0], [-9.0 + safe, 0], [9.0, 0], [9.0, 6.0]])), 0, atol=1e-6)
     corner = np.array([[0.0, 0.0], [safe - 2.0, 0.0], [0.0, safe - 1.0], [14.0, 14.0]])
@@ -286,15 +286,36 @@ def test_a_robot_between_two_that_it_sees_steps_aside_instead_of_standing_still(
     state = env.state(jnp.asarray(line, jnp.float32), 7)
     first_axes = np.stack([state.frames.cos, state.frames.sin], axis=1)
     assert len(np.unique(first_axes, axis=0)) == 4
+    second_axes = np.stack([-state.frames.sin, state.frames.cos], axis=1)
+    oblique = np.cos(1.0) * first_axes + np.sin(1.0) * second_axes
     for wishes, moving in ((np.zeros((4, 2)), [1, 2]), (np.array([[0, 0], [0, 0], [0.4, 0], [0, 0]]), [1])):
         after, _ = wrapped_step(env, state, jnp.asarray(wishes, jnp.float32))
         expected = np.zeros((4, 2))
-        expected[moving] = 0.5 * first_axes[moving]
+        expected[moving] = 0.5 * oblique[moving]
         expected[2] = expected[2] if 2 in moving else 0.4 * first_axes[2]
         np.testing.assert_allclose(after.positions, line + expected, atol=1e-6)
     # Where everybody sees everybody, nobody has to move.
     after, _ = wrapped_step(env, env.state(jnp.asarray(SQUARE, jnp.float32), 7), jnp.zeros((4, 2)))
     np.testing.assert_array_equal(after.positions, np.float32(SQUARE))
+
+
+@pytest.mark.parametrize("walls", [False, True])
+@pytest.mark.parametrize("side", [0, 1, 2, 3], ids=["right", "upper", "left", "lower"])
+def test_a_sidestep_leaves_the_line_and_goes_away_from_a_wall(world, side, walls):
+    """Along whichever wall robots are in line, in frames parallel to it: the one in the middle steps off it."""
+    sensing = GlobalSensing(walls=walls)
+    env = DeadZone(LocalObservation(world, sensing, CONFIG), SlowMoves(jnp.asarray(0.3), sidestep=0.5), CONFIG)
+    along = np.array([-6.0, 0.0, 6.0, 12.0])
+    on_wall = np.full(4, [CONFIG.half_width, CONFIG.half_height, -CONFIG.half_width, -CONFIG.half_height][side])
+    line = np.stack([along, on_wall] if side % 2 else [on_wall, along], axis=1)
+    after, _ = wrapped_step(env, env.state(jnp.asarray(line, jnp.float32), 7), jnp.zeros((4, 2)))
+    direction = 0.5 * np.array([np.cos(1.0), np.sin(1.0)])
+    blocked = side < 2
+    expected = np.zeros((4, 2))
+    expected[[1, 2]] = -direction if walls and blocked else direction
+    np.testing.assert_allclose(after.positions, line + expected, atol=1e-5)
+    size = np.array([CONFIG.half_width, CONFIG.half_height])
+    assert (np.abs(after.positions) <= size).all() == (walls or not blocked)
 
 
 @pytest.mark.parametrize("per_robot", [False, True])

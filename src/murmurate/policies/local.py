@@ -43,9 +43,10 @@ from murmurate.policies.features import (
 )
 from murmurate.policies.hull import CORNER_CHANNELS, EDGE_CHANNELS, GAP_CHANNELS, hull, widest_gap
 from murmurate.policies.layers import Dense, Linear, bounded, widened
-from murmurate.policies.shield import limit_wall_approach, wall_directions
+from murmurate.policies.shield import limit_wall_approach
 from murmurate.types import Observation
 from murmurate.world.config import WorldConfig
+from murmurate.world.sensing import wall_directions
 
 __all__ = ["LocalNetwork", "LocalPolicy", "LocalValue"]
 

@@ -14,6 +14,7 @@ from murmurate.types import Observation
 from murmurate.world.config import WorldConfig
 from murmurate.world.env import WrappedState, Wrapper
 from murmurate.world.scheduling import FsyncScheduler, Scheduler
+from murmurate.world.sensing import wall_directions
 
 __all__ = [
     "ClearanceShield",
@@ -24,7 +25,6 @@ __all__ = [
     "WallShield",
     "limit_wall_approach",
     "safe_share",
-    "wall_directions",
 ]
 
 WALL_SHARE = 0.2
@@ -248,16 +248,6 @@ def limit_wall_approach(
     limit = share * jnp.maximum(distance - rounding, 0.0)
     excess = jnp.maximum(jnp.sum(velocity[:, None] * normal, axis=2) - limit, 0.0)
     return velocity - jnp.sum(excess[:, :, None] * normal, axis=1)
-
-
-def wall_directions(
-    walls: Float[Array, "robots 4 2 *batch"],
-) -> tuple[Float[Array, "robots 4 2 *batch"], Float[Array, "robots 4 *batch"]]:
-    """Returns the unit vector towards each wall, and its distance, at least 0."""
-    # From wall to wall: a robot at a wall knows from the opposite one where that wall lies.
-    across = walls - jnp.roll(walls, 2, axis=1)
-    normal = across / jnp.sqrt(jnp.sum(across**2, axis=2, keepdims=True))
-    return normal, jnp.maximum(jnp.sum(walls * normal, axis=2), 0.0)
 
 
 class ShieldedState(WrappedState):

@@ -155,7 +155,8 @@ class Comparison:
     """What is compared, and from which starts.
 
     Attributes:
-        base: The world, scaled to each swarm size, the start, the objective, the rest rule and the shield.
+        base: The world, scaled to each swarm size, the start, the objective, the rest rule and the shield. Baselines
+            have its dead zone, damping and sidestep, too; a learned method has those that it was trained with.
         episodes: Starts of each condition; the same for every method.
         seed: Seed of the starts, but for those of sets, and of frames, noise and scheduler; no training ever began at
             these starts.
@@ -169,13 +170,21 @@ class Comparison:
         check_number("episodes", self.episodes, 1, MAX_EPISODES, integer=True)
         check_seed(self.seed)
 
-    def problem(self, condition: Condition) -> ExperimentConfig:
-        """Returns the experiment of one condition: its world, sensing and scheduler."""
+    def problem(self, condition: Condition, learned: ExperimentConfig | None = None) -> ExperimentConfig:
+        """Returns the experiment of one condition: its world, sensing and scheduler.
+
+        Args:
+            condition: The condition.
+            learned: The experiment of a learned method.
+        """
         sensing, scheduler = self.sensing(condition.sensing), self.scheduler(condition.scheduler)
         if is_baseline(condition.method) and find_baseline(condition.method).centralised:
             # A centralised method has one frame, and all positions in it.
             sensing = GlobalSensing()
-        problem = replace(self.base, policy=LocalPolicy(), sensing=sensing, scheduler=scheduler, sizes=())
+        rest = self.base.rest
+        if learned is not None:
+            rest = replace(rest, **{name: getattr(learned.rest, name) for name in _SLOW_MOVES})
+        problem = replace(self.base, policy=LocalPolicy(), sensing=sensing, scheduler=scheduler, rest=rest, sizes=())
         return problem.of_size(condition.robots)
 
     def sensing(self, name: str) -> Sensing:
@@ -223,14 +232,18 @@ def shared_experiment(runs: Mapping[str, ExperimentConfig]) -> ExperimentConfig:
 
 
 _TASK = ("objective", "signals", "valid", "world", "rest", "shield")
-"""The sections of an experiment that all methods of a comparison share."""
+"""The sections of an experiment that all methods of a comparison share, but for `_SLOW_MOVES`."""
+
+_SLOW_MOVES = ("dead_zone", "damping", "sidestep")
+"""The fields of a rest rule that say what robots make of slow moves, and not what counts as rest."""
 
 
 def _task(experiment: ExperimentConfig, base: ExperimentConfig) -> dict[str, Any]:
     """Returns the leaves of what methods share, by path, in a world of the base's swarm size."""
     scaled = replace(experiment, world=scaled_to(experiment.world, base.world.robots), sizes=())
     leaves = {leaf.path: leaf.value for leaf in config_io.leaves(scaled) if leaf.path.partition(".")[0] in _TASK}
-    return {path: value for path, value in leaves.items() if path != "world.collision_penalty"}
+    own = {"world.collision_penalty", *(f"rest.{name}" for name in _SLOW_MOVES)}
+    return {path: value for path, value in leaves.items() if path not in own}
 
 
 def is_baseline(method: str) -> bool:
@@ -408,7 +421,9 @@ class ConditionJob(Job):
         """See `Job`."""
         self.prepare()
         # In a worker process nobody listens: the driver reads how far it is from the folder.
-        row = _evaluate(self.comparison, self.condition, self._policies(), on_progress or self._write_progress)
+        problem = self.comparison.problem(self.condition, self.learned.experiment if self.learned else None)
+        report = on_progress or self._write_progress
+        row = _evaluate(self.comparison, problem, self.condition, self._policies(), report)
         files.write_json(self.folder / ROW, row)
 
     def _write_progress(self, work: str, done: int, total: int, **_: Any) -> None:
@@ -713,10 +728,14 @@ def _check_finite(method: str, numbers: Any) -> None:
 
 @prng.reproducible()
 def _evaluate(
-    comparison: Comparison, condition: Condition, policies: tuple[Any, ...], report: Callable[..., None]
+    comparison: Comparison,
+    problem: ExperimentConfig,
+    condition: Condition,
+    policies: tuple[Any, ...],
+    report: Callable[..., None],
 ) -> dict[str, Any]:
     """Runs a method under one condition, and returns its row of the table."""
-    problem, parts, done = comparison.problem(condition), [], 0
+    parts, done = [], 0
     for batch in _rollouts(comparison, problem, policies, condition.start, report):
         _check_finite(condition.method, batch.final)
         parts.append(_measure(problem, batch))

@@ -22,7 +22,7 @@ from murmurate.types import Observation, Transition, View
 from murmurate.world.config import WorldConfig
 from murmurate.world.randomness import draw_each, episode_keys, key_data, next_keys, wrap_keys
 from murmurate.world.scheduling import Activation, Clock, Scheduler
-from murmurate.world.sensing import Frames, Sensing
+from murmurate.world.sensing import Frames, Sensing, wall_directions
 from murmurate.world.signals import Configuration, Objective, Signal, objective_signals
 from murmurate.world.starts import Start
 from murmurate.world.tiles import in_tiles
@@ -351,6 +351,14 @@ class ShortfallReward(Wrapper):
         return after, Transition(reward, transition.terminated, transition.truncated, signals, reward[None])
 
 
+ASIDE = (0.5403023, 0.8414710)
+"""Direction of a sidestep, in a robot's own frame: that of the angle 1."""
+
+LEAST_APART = 0.2
+"""Least speed with which robots step apart, relative to the slowest move that they begin otherwise. As fast as those,
+two that lack a little would go so far that a policy brings them back, for ever."""
+
+
 class SlowMoves(eqx.Module):
     """What becomes of moves that are slow, as robots have to come to a stop.
 
@@ -397,9 +405,9 @@ def apply_dead_zone(
     ever.
 
     With `sidestep`, a robot that sees that the pattern is not valid does not stand still. If it occludes one robot that
-    it sees from another one, it moves along the first axis of its own frame. Where a configuration is symmetric, so is
-    what any policy makes of it, and the robot in its centre could never leave: robots' frames break the symmetry. Else,
-    if robots are nearer than the safe distance, it moves away from them, by half of what is missing, as they do too.
+    it sees from another one, it steps aside: see `_step_aside`. Where a configuration is symmetric, so is what any
+    policy makes of it, and the robot in its centre could never leave: robots' frames break the symmetry. Else, if
+    robots are nearer than the safe distance, it moves away from them, by half of what is missing, as they do too.
 
     Args:
         velocities: What a policy wants, world units per step, in each robot's own frame.
@@ -417,10 +425,25 @@ def apply_dead_zone(
     if slow.sidestep:
         view = observation.view
         is_between = _batch_last.stands_between(view.x, view.y, view.seen, view.radius)[:, None]
-        aside = jnp.stack([jnp.full_like(view.radius, slow.sidestep), jnp.zeros_like(view.radius)], axis=1)
-        decided = jnp.where(is_slow, jnp.where(is_between, aside, _step_apart(view, slow, world)), decided)
+        stepped = jnp.where(is_between, _step_aside(view, slow, world), _step_apart(view, slow, world))
+        decided = jnp.where(is_slow, stepped, decided)
     # Gradients pass as if nothing were changed: a robot that stands still would never learn to set out.
     return velocities - jax.lax.stop_gradient(velocities - decided)
+
+
+def _step_aside(view: View, slow: SlowMoves, world: WorldConfig) -> Float[Array, "robots 2 *batch"]:
+    """Returns velocities in one direction of each robot's own frame; where a wall is in the way, in the opposite one.
+
+    The direction is oblique: robots stand in line along walls, and frames may be parallel to these.
+    """
+    direction = jnp.asarray(ASIDE, view.radius.dtype).reshape((1, 2) + (1,) * (view.radius.ndim - 1))
+    aside = slow.sidestep * jnp.broadcast_to(direction, (view.x.shape[0], 2, *view.radius.shape[1:]))
+    if view.walls is None:
+        return aside
+    normal, distance = wall_directions(view.walls * (world.radius / view.radius)[:, None, None])
+    approach = jnp.sum(aside[:, None] * normal, axis=2)
+    is_blocked = jnp.any(approach > distance, axis=1)[:, None]
+    return jnp.where(is_blocked, -aside, aside)
 
 
 def _step_apart(view: View, slow: SlowMoves, world: WorldConfig) -> Float[Array, "robots 2 *batch"]:
@@ -435,7 +458,7 @@ def _step_apart(view: View, slow: SlowMoves, world: WorldConfig) -> Float[Array,
     # The maximum of no robots is not defined. A little more than half: rounding a half could leave them too near.
     nobody = jnp.zeros_like(view.radius[:, None])
     most = jnp.max(jnp.concatenate([missing, nobody], axis=1), axis=1, keepdims=True)
-    speed = jnp.clip(0.51 * most, slow.least_speed, slow.sidestep)
+    speed = jnp.clip(0.51 * most, LEAST_APART * slow.least_speed, slow.sidestep)
     return jnp.where(size > 0, speed * away / jnp.where(size > 0, size, 1.0), 0.0)
 
 

@@ -231,3 +231,13 @@ def nearest_wall_points(
     upper, lower = jnp.minimum(world.half_height - y, reach), jnp.maximum(-world.half_height - y, -reach)
     offsets = ((right, zero), (zero, upper), (left, zero), (zero, lower))
     return jnp.stack([jnp.stack(frames.to_local(*offset), axis=1) / frames.unit[:, None] for offset in offsets], axis=1)
+
+
+def wall_directions(
+    walls: Float[Array, "robots 4 2 *batch"],
+) -> tuple[Float[Array, "robots 4 2 *batch"], Float[Array, "robots 4 *batch"]]:
+    """Returns the unit vector towards each wall, and its distance, at least 0."""
+    # From wall to wall: a robot at a wall knows from the opposite one where that wall lies.
+    across = walls - jnp.roll(walls, 2, axis=1)
+    normal = across / jnp.sqrt(jnp.sum(across**2, axis=2, keepdims=True))
+    return normal, jnp.maximum(jnp.sum(walls * normal, axis=2), 0.0)

@@ -24,10 +24,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from murmurate.geometry._batch_last import sum_terms
-from murmurate.policies.shield import wall_directions
 from murmurate.representation import short_repr
 from murmurate.types import View
 from murmurate.world.config import WorldConfig
+from murmurate.world.sensing import wall_directions
 
 __all__ = ["SAFETY_FACTOR", "LocalView", "avoid_collisions", "full_view", "limit_norm", "local_view", "view_centroid"]
 
