@@ -30,8 +30,8 @@ class RestRule:
         damping: Share that the shortest moves lose, so that robots do not overshoot; none from half of the speed limit
             on.
         sidestep: Share of the speed limit at which a robot that would stand still between two others that it sees,
-            occluding one from the other, moves along the first axis of its own frame instead; 0: it stands still. With
-            it, a robot that would stand still nearer to another one than the safe distance moves away, too.
+            occluding one from the other, steps aside instead, off the line and away from walls; 0: it stands still.
+            With it, a robot that would stand still nearer to another one than the safe distance moves away, too.
         max_steps: Steps after which a policy that does not come to rest is cut off.
     """
 
