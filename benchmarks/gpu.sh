@@ -75,7 +75,7 @@ fi
 if asked discover; then
     echo "== time to discover"
     for experiment in $EXPERIMENTS; do
-        "$PYTHON" -m murmurate discover "$experiment" --resume --out "$OUT/$experiment" || [ $? -eq 3 ]
+        "$PYTHON" -m murmurate discover "$experiment" --resume --out "$OUT/$experiment" || [ $? -eq 5 ]
     done
     {
         echo "## Time to discover"

@@ -86,6 +86,27 @@ class Bare(Policy):
         return network, LinearValue(jnp.zeros((world.robots, 2 * world.robots), jnp.float32))
 
 
+class BlindNetwork(BareNetwork):
+    """A network whose features it cannot take itself."""
+
+    def features(self, positions):
+        return {"far": positions}
+
+
+class Blind(Bare):
+    """A policy whose features are of no use to its networks."""
+
+    def networks(self, world, landmark, key):
+        network, value = super().networks(world, landmark, key)
+        return BlindNetwork(network.weight, network.speed), value
+
+
+@pytest.mark.unchecked
+def test_features_that_the_networks_cannot_take_are_refused_before_training():
+    with pytest.raises(InputError, match=r"^policy = '.*:Blind': must be a class that can be evaluated"):
+        check_parts(tiny(policy=Blind(), base={"ppo": {"exploration": "learned"}}, discovery=ONE_POLICY))
+
+
 @pytest.mark.unchecked
 @pytest.mark.parametrize(
     ("field", "part", "allowed"),

@@ -16,7 +16,7 @@ from murmurate import prng
 from murmurate.discovery.cascade import Cascade
 from murmurate.discovery.problem import Problem, check_problem
 from murmurate.errors import InputError
-from murmurate.learning import LEARNERS, PPOConfig
+from murmurate.learning import LEARNERS, PPOConfig, features_of
 from murmurate.policies import ShieldWrapper
 from murmurate.registry import Strategy
 from murmurate.world import (
@@ -191,9 +191,9 @@ def _check_policy(problem: Problem, env: World | Wrapper, positions: Float[Array
     def act() -> tuple[Any, ...]:
         policy, value = problem.policy.networks(problem.world, problem.landmark, prng.key(problem.seed))
         observation = env.observe(env.state(positions))
-        velocities = policy(observation)
-        action = policy.distribution(observation).sample(prng.key(problem.seed))
-        return velocities, action, policy.distribution(observation).log_prob(action), value(observation)
+        distribution = policy.distribution(features_of(policy, observation))
+        action = distribution.sample(prng.key(problem.seed))
+        return policy(observation), action, distribution.log_prob(action), value(features_of(policy, observation))
 
     moves, actions = _floats(robots, 2, batch), _floats(robots if problem.policy.credit == "robots" else 1, batch)
     expected = {"__call__": moves, "sample": moves, "log_prob": actions, "the value network": actions}

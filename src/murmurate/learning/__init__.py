@@ -13,6 +13,7 @@ from murmurate.learning.environment import (
     Policy,
     Transition,
     Value,
+    features_of,
     step_with_autoreset,
 )
 from murmurate.learning.gradients import GradientConfig, GradientHyperparameters, Segment
@@ -45,6 +46,7 @@ __all__ = [
     "ValueTarget",
     "check_divides",
     "collect",
+    "features_of",
     "generalized_advantage",
     "init",
     "policy_loss",

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
-__all__ = ["ActionDistribution", "Environment", "Policy", "Transition", "Value", "step_with_autoreset"]
+__all__ = ["ActionDistribution", "Environment", "Policy", "Transition", "Value", "features_of", "step_with_autoreset"]
 
 MAX_DRAWN = 256
 """Most starts that are drawn at once. Of a larger batch few episodes end at the same step: for these it would be a
@@ -99,6 +99,12 @@ class Value(Protocol):
     def __call__(self, observation: Any) -> Float[Array, "actions batch"]:
         """Returns the estimated return of each action's credit; of the same shape as `credit`."""
         ...
+
+
+def features_of(policy: Policy, observation: Any) -> Any:
+    """Returns what PPO calls both networks with: the policy's features of an observation, where it has any."""
+    features = getattr(policy, "features", None)
+    return observation if features is None else features(observation)
 
 
 def step_with_autoreset(env: Environment, state: Any, action: Any, key: PRNGKeyArray) -> tuple[Any, Transition, Any]:

@@ -20,7 +20,7 @@ from murmurate.errors import InputError
 from murmurate.learning import sharding
 from murmurate.learning.advantage import generalized_advantage, rewards_to_go
 from murmurate.learning.config import Hyperparameters, Shape
-from murmurate.learning.environment import Environment, Policy, Transition, Value, step_with_autoreset
+from murmurate.learning.environment import Environment, Policy, Transition, Value, features_of, step_with_autoreset
 from murmurate.learning.losses import Batch, policy_loss, value_loss
 from murmurate.representation import short_repr
 
@@ -109,19 +109,13 @@ def collect(env: Environment, policy: Policy, state: Any, key: PRNGKeyArray, ste
 
     def step(state: Any, key: PRNGKeyArray) -> tuple[Any, Rollout]:
         sample_key, reset_key = jax.random.split(key)
-        observation = _features(policy, env.observe(state))
+        observation = features_of(policy, env.observe(state))
         distribution = policy.distribution(observation)
         action = distribution.sample(sample_key)
         state, transition, next_observation = step_with_autoreset(env, state, action, reset_key)
         return state, Rollout(observation, next_observation, action, distribution.log_prob(action), transition)
 
     return jax.lax.scan(step, state, jax.random.split(key, steps))
-
-
-def _features(policy: Policy, observation: Any) -> Any:
-    """Returns what both networks are called with: the policy's features of an observation, where it has any."""
-    features = getattr(policy, "features", None)
-    return observation if features is None else features(observation)
 
 
 def flatten_time(x: Array) -> Array:
@@ -160,7 +154,7 @@ def _values(policy: Policy, value: Value, rollout: Rollout) -> tuple[Array, Arra
         turn, after = carry
         chosen = jax.lax.dynamic_slice_in_dim(order, turn * batch, batch)
         observation = jax.tree.map(lambda x: x[..., chosen], observations)
-        return turn + 1, after.at[:, chosen].set(value(_features(policy, observation)))
+        return turn + 1, after.at[:, chosen].set(value(features_of(policy, observation)))
 
     after = flatten_time(jnp.concatenate([before[1:], before[-1:]]))
     turns = -(-jnp.sum(other, dtype=jnp.int32) // batch)
