@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 
 import equinox as eqx
@@ -32,6 +33,7 @@ from murmurate.world import (
 )
 from oracles import contact
 from oracles import signals as oracle
+from oracles import visibility
 
 CONFIG = WorldConfig(robots=4, half_width=20.0, half_height=15.0, scan_radius=12.0, collision_penalty=0.75)
 HORIZON = 7
@@ -301,21 +303,40 @@ def test_a_robot_between_two_that_it_sees_steps_aside_instead_of_standing_still(
 
 @pytest.mark.parametrize("walls", [False, True])
 @pytest.mark.parametrize("side", [0, 1, 2, 3], ids=["right", "upper", "left", "lower"])
-def test_a_sidestep_leaves_the_line_and_goes_away_from_a_wall(world, side, walls):
-    """Along whichever wall robots are in line, in frames parallel to it: the one in the middle steps off it."""
+def test_a_sidestep_leaves_the_line_and_goes_away_from_near_walls(world, side, walls):
+    """Along whichever wall robots are in line, in frames parallel to it: those in the middle step off it."""
     sensing = GlobalSensing(walls=walls)
     env = DeadZone(LocalObservation(world, sensing, CONFIG), SlowMoves(jnp.asarray(0.3), sidestep=0.5), CONFIG)
-    along = np.array([-6.0, 0.0, 6.0, 12.0])
-    on_wall = np.full(4, [CONFIG.half_width, CONFIG.half_height, -CONFIG.half_width, -CONFIG.half_height][side])
-    line = np.stack([along, on_wall] if side % 2 else [on_wall, along], axis=1)
+    line = along_wall(side, [-6.0, 0.0, 6.0, 12.0])
     after, _ = wrapped_step(env, env.state(jnp.asarray(line, jnp.float32), 7), jnp.zeros((4, 2)))
-    direction = 0.5 * np.array([np.cos(1.0), np.sin(1.0)])
-    blocked = side < 2
-    expected = np.zeros((4, 2))
-    expected[[1, 2]] = -direction if walls and blocked else direction
-    np.testing.assert_allclose(after.positions, line + expected, atol=1e-5)
     size = np.array([CONFIG.half_width, CONFIG.half_height])
-    assert (np.abs(after.positions) <= size).all() == (walls or not blocked)
+    is_near = size - line < 2 * CONFIG.safe_distance
+    direction = 0.5 * np.array([np.cos(1.0), np.sin(1.0)])
+    expected = np.zeros((4, 2))
+    expected[[1, 2]] = np.where(walls & is_near, -direction, direction)[[1, 2]]
+    np.testing.assert_allclose(after.positions, line + expected, atol=1e-5)
+    assert (np.abs(after.positions) <= size).all() == (walls or side > 1)
+
+
+@pytest.mark.parametrize("speed", [0.2, 0.5, 1.0])
+@pytest.mark.parametrize("side", [0, 1, 2, 3], ids=["right", "upper", "left", "lower"])
+def test_sidesteps_lead_a_robot_away_from_a_line_along_a_wall_for_good(side, speed):
+    config = replace(CONFIG, robots=3)
+    env = LocalObservation(build(config), GlobalSensing(walls=True), config)
+    env = DeadZone(env, SlowMoves(jnp.asarray(0.1 * speed), sidestep=speed), config)
+    state = env.state(jnp.asarray(along_wall(side, [-6.0, 0.0, 6.0]), jnp.float32), 7)
+    for _ in range(20):
+        state, _ = wrapped_step(env, state, jnp.zeros((3, 2)))
+    assert not visibility.occluded(np.asarray(state.positions, np.float64), config.radius).any()
+    after, _ = wrapped_step(env, state, jnp.zeros((3, 2)))
+    np.testing.assert_array_equal(after.positions, state.positions)
+
+
+def along_wall(side, places):
+    """Returns robots exactly on the right, upper, left or lower wall."""
+    half = [CONFIG.half_width, CONFIG.half_height, -CONFIG.half_width, -CONFIG.half_height][side]
+    on_wall = np.full(len(places), half)
+    return np.stack([places, on_wall] if side % 2 else [on_wall, places], axis=1)
 
 
 @pytest.mark.parametrize("per_robot", [False, True])

@@ -354,6 +354,10 @@ class ShortfallReward(Wrapper):
 ASIDE = (0.5403023, 0.8414710)
 """Direction of a sidestep, in a robot's own frame: that of the angle 1."""
 
+NEAR_WALL = 2.0
+"""Sidesteps lead away from walls that are nearer than so many safe distances. Robots in line along a wall are much
+nearer to it, so whoever steps off their line is far from it before a sidestep may lead back."""
+
 LEAST_APART = 0.2
 """Least speed with which robots step apart, relative to the slowest move that they begin otherwise. As fast as those,
 two that lack a little would go so far that a policy brings them back, for ever."""
@@ -432,9 +436,11 @@ def apply_dead_zone(
 
 
 def _step_aside(view: View, slow: SlowMoves, world: WorldConfig) -> Float[Array, "robots 2 *batch"]:
-    """Returns velocities in one direction of each robot's own frame; where a wall is in the way, in the opposite one.
+    """Returns velocities in one direction of each robot's own frame; near a wall, what leads to the wall leads away.
 
-    The direction is oblique: robots stand in line along walls, and frames may be parallel to these.
+    The direction is oblique: robots stand in line along walls, and frames may be parallel to these. A robot that turned
+    back only where the next step would cross a wall would come back with the one after that, and never get away from a
+    line along it.
     """
     direction = jnp.asarray(ASIDE, view.radius.dtype).reshape((1, 2) + (1,) * (view.radius.ndim - 1))
     aside = slow.sidestep * jnp.broadcast_to(direction, (view.x.shape[0], 2, *view.radius.shape[1:]))
@@ -442,8 +448,8 @@ def _step_aside(view: View, slow: SlowMoves, world: WorldConfig) -> Float[Array,
         return aside
     normal, distance = wall_directions(view.walls * (world.radius / view.radius)[:, None, None])
     approach = jnp.sum(aside[:, None] * normal, axis=2)
-    is_blocked = jnp.any(approach > distance, axis=1)[:, None]
-    return jnp.where(is_blocked, -aside, aside)
+    mirrored = jnp.where(distance < NEAR_WALL * world.safe_distance, jnp.maximum(approach, 0.0), 0.0)
+    return aside - 2 * jnp.sum(mirrored[:, :, None] * normal, axis=1)
 
 
 def _step_apart(view: View, slow: SlowMoves, world: WorldConfig) -> Float[Array, "robots 2 *batch"]:
