@@ -62,6 +62,12 @@ class Given(Scheduler):
         return 1
 
 
+class Punctual(Given):
+    """Says that nobody waits between look and move, and that moves take a step."""
+
+    max_delay, max_move_steps = 0, 1
+
+
 class BareNetwork(eqx.Module):
     """A network that is no `PolicyNetwork`."""
 
@@ -143,6 +149,16 @@ def test_features_that_the_networks_cannot_take_are_refused_before_training():
             "a class whose activate returns completion of at least 0 and at most 1",
         ),
         ("scheduler", Given("move_steps", 0, "int32"), "a class whose activate returns move_steps of at least 1"),
+        (
+            "scheduler",
+            Punctual("delay", 5, "int32"),
+            "a class whose activate returns delay of at least 0 and at most 0",
+        ),
+        (
+            "scheduler",
+            Punctual("move_steps", 9, "int32"),
+            "a class whose activate returns move_steps of at least 1 and at most 1",
+        ),
     ],
 )
 def test_wrong_types_and_values_are_one_line(field, part, allowed):

@@ -12,7 +12,7 @@ import pytest
 
 from murmurate.policies import LocalPolicy
 from murmurate.policies.shield import WALL_SHARE
-from murmurate.world import Observation, Sensing, WorldConfig
+from murmurate.world import Observation, Sensing, VisibleSensing, WorldConfig
 
 R, SCAN = 1.0, 40.0
 
@@ -133,6 +133,27 @@ def test_a_robot_knows_no_size_of_the_world():
     wide_policy = louder(build(wide, True, jax.random.key(0))[0])
     plain = velocities(policy, configuration(), use="visible")
     np.testing.assert_array_equal(velocities(wide_policy, configuration(), use="visible"), plain)
+
+
+def test_walls_far_away_do_not_matter():
+    """A robot that perceives all four walls does the same in a larger world, but near a wall."""
+    build = eqx.filter_jit(LocalPolicy(hidden=(16, 8), walls=True, gaps=True).networks)
+    policy = louder(build(WorldConfig(robots=6), True, jax.random.key(0))[0])
+    policy = eqx.tree_at(lambda p: p.to_walls.weight, policy, replace_fn=lambda weight: 20 * weight)
+    sensing = VisibleSensing(walls=True)
+
+    def change(positions, side, larger):
+        """Returns how much faster or slower robots go where two of the walls are farther away."""
+        moves = []
+        for half in (side, larger):
+            world = WorldConfig(robots=6, radius=R, half_width=half, half_height=half, scan_radius=1000.0)
+            frames = sensing.draw_frames(jax.random.key(0), 6)
+            view = sensing.view(positions, frames, jax.random.key(0), world)
+            moves.append(act(policy, Observation(view, positions, half - jnp.abs(positions).max(axis=1))))
+        return np.abs(np.subtract(*moves)).max()
+
+    assert change(configuration(), 45.0, 90.0) < 1e-3
+    assert change(configuration() + 30.0, 45.0, 90.0) > 1e-2
 
 
 @pytest.mark.parametrize("far", [0.0, 0.3, 40.0])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from dataclasses import replace
 
 import equinox as eqx
 import jax
@@ -12,8 +13,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from murmurate.discovery import RestRule, build_environment, build_world
 from murmurate.errors import InputError
-from murmurate.policies import ClearanceShield, NoShield, ShieldWrapper
+from murmurate.policies import ClearanceShield, NoShield, ShieldWrapper, WallShield
 from murmurate.policies.shield import ROOM, safe_share
 from murmurate.runs import presets
 from murmurate.world import (
@@ -169,6 +171,69 @@ def test_nobody_leaves_the_world(sensing):
     assert least_distances(visited).min() > 2 * RADIUS
 
 
+@pytest.mark.parametrize("steps", [1, 5, 12])
+def test_the_shield_of_the_walls_keeps_robots_inside_however_long_moves_take(steps):
+    scheduler = AsyncScheduler(max_move_steps=steps)
+    visited, _ = roll(4, scheduler, WallShield().prepare(scheduler), 160, walls=True)
+    assert (np.abs(visited) <= SIDE).all()
+    assert np.abs(visited[-1]).max() > SIDE - 0.1
+
+
+def test_a_share_of_a_fifth_is_too_much_for_moves_of_many_steps():
+    visited, _ = roll(4, AsyncScheduler(max_move_steps=12), WallShield(), 160, walls=True)
+    assert (np.abs(visited) > SIDE).any()
+
+
+@pytest.mark.parametrize("name", ["ssync", "async"])
+def test_only_moves_that_begin_are_counted(name):
+    """Far from each other, each robot that looks begins to move, and its wish is always shortened."""
+    config = world_of(3)
+    env = SchedulerWrapper(with_array_leaves(World.create(config, UniformStart(), "C2")), SCHEDULERS[name])
+    env = ShieldWrapper(env, with_array_leaves(ClearanceShield(0.01)), config)
+    positions = 15.0 * np.stack([np.eye(3, 2)] * 4, axis=-1)
+    state, begun = env.state(jnp.asarray(positions, jnp.float32), jnp.asarray(3, jnp.uint32)), 0
+    for _ in range(12):
+        after, _ = eqx.filter_jit(ShieldWrapper.step)(env, state, 9.0 * jnp.ones_like(state.positions))
+        moves = after.inner.committed_velocity, state.inner.committed_velocity
+        begun += (np.abs(np.subtract(*moves)).max(axis=1) > 0).sum(axis=0)
+        state = after
+    np.testing.assert_array_equal(state.interventions, begun)
+    assert (begun > 0).all() and (begun < 3 * 12).all()
+
+
+@pytest.mark.parametrize(("robots", "name"), [(9, "fsync"), (5, "ssync, adversary, stopped anywhere"), (6, "async")])
+@pytest.mark.parametrize("sensing", ["global", "visible"])
+def test_sidesteps_and_steps_apart_go_through_the_shield(robots, name, sensing):
+    """Robots that want nothing, in tight crowds at the walls, in the environment that a policy is executed in."""
+    scheduler, config = SCHEDULERS[name], replace(world_of(robots), max_speed=9.0)
+    rest = RestRule(dead_zone=0.1, damping=0.4, sidestep=1.0)
+    problem = presets.resolve(
+        "C",
+        {"objective": "C2", "policy": {"use": "local"}, "sensing": {"use": sensing, "rotation": True, "walls": True}},
+        {"shield": {"use": "clearance"}},
+    )
+    problem = replace(problem, world=config, start=UniformStart(), scheduler=scheduler, rest=rest)
+    env = build_environment(problem, build_world(problem))
+    starts = crowds(robots, np.random.default_rng(robots))
+    reach = np.abs(starts).max(axis=1, keepdims=True)
+    starts += np.sign(starts.mean(axis=1, keepdims=True)) * (SIDE - reach).astype(np.float32)
+    starts = np.clip(starts, -SIDE, SIDE)
+
+    @eqx.filter_jit
+    def execute(env, positions):
+        def step(state, _):
+            after, _ = env.step(state, jnp.zeros_like(positions))
+            return after, after.positions
+
+        state = env.state(positions, jnp.asarray(3, jnp.uint32))
+        return jnp.concatenate([positions[None], jax.lax.scan(step, state, None, length=60)[1]])
+
+    visited = np.asarray(execute(env, jnp.asarray(np.moveaxis(starts, 0, -1)))).astype(float)
+    assert least_distances(visited).min() > 2 * RADIUS
+    assert (np.abs(visited) <= SIDE).all()
+    assert np.abs(np.diff(visited, axis=0)).max() > 0.01
+
+
 def test_opaque_robots_know_their_clearance():
     """The nearest robot is never hidden: what robots see for themselves shortens as much as all positions do.
 
@@ -277,6 +342,8 @@ def test_what_cannot_be_served_is_refused():
         InputError, match=r"scheduler .*Endless states no max_delay and max_move_steps, and none is safe"
     ):
         ClearanceShield().prepare(Endless())
+    with pytest.raises(InputError, match=r"^shield.use = 'walls': .*Endless states no max_move_steps, and no share"):
+        WallShield().prepare(Endless())
     with pytest.raises(InputError, match=r"^shield.share = 0.3: must be at most 0.03108, which is safe under .* async"):
         presets.resolve("C", {"shield": {"use": "clearance", "share": 0.3}, "scheduler": {"use": "async"}})
     with pytest.raises(InputError, match=r"^shield.share = 0.0: must be a finite number > 0 and <= 1"):

@@ -181,7 +181,8 @@ def _check_gradients(problem: Problem, index: int, world: World) -> None:
             allowed = "0: its gradient is not finite where robots have the same distance or place"
             raise InputError(f"{section}.{name}", weights[name], allowed)
         if not gradient.any() and np.ptp(values) > 0:
-            allowed = "0: it has no gradient, because it counts (see smooth_visible, smooth_safety, compact, exposed)"
+            smooth = "smooth_visible, smooth_safety, compact, centered, exposed, convex"
+            allowed = f"0: it has no gradient, because it counts (see {smooth})"
             raise InputError(f"{section}.{name}", weights[name], allowed)
 
 
@@ -219,8 +220,8 @@ def _check_scheduler(problem: Problem, positions: Float[Array, "robots 2 batch"]
     limits: dict[str, tuple[Any, float, float]] = {
         "active": (jnp.bool_, 0, 1),
         "pause": (jnp.int32, 0, math.inf),
-        "delay": (jnp.int32, 0, math.inf),
-        "move_steps": (jnp.int32, 1, math.inf),
+        "delay": (jnp.int32, 0, _stated(problem.scheduler.max_delay)),
+        "move_steps": (jnp.int32, 1, _stated(problem.scheduler.max_move_steps)),
         "completion": (jnp.float32, 0, 1),
     }
     expected = {
@@ -228,6 +229,10 @@ def _check_scheduler(problem: Problem, positions: Float[Array, "robots 2 batch"]
         for name, (dtype, _, _) in limits.items()
     }
     _check("scheduler", problem.scheduler, activate, expected, [(low, high) for _, low, high in limits.values()])
+
+
+def _stated(steps: int | None) -> float:
+    return math.inf if steps is None else steps
 
 
 def _floats(*shape: int) -> jax.ShapeDtypeStruct:

@@ -28,8 +28,8 @@ __all__ = [
 ]
 
 WALL_SHARE = 0.2
-"""Share of its distance from a wall that a robot goes in a step, at most: moves of up to 5 steps end before the
-wall."""
+"""Share of its distance from a wall that a robot goes in a step, at most: moves of up to 4 steps end before the wall,
+and those of 5 at it, but for rounding."""
 
 
 class Shield(Strategy):
@@ -84,10 +84,13 @@ class NoShield(Shield):
 
 @Shield.register("walls")
 class WallShield(Shield):
-    """Limits how fast robots approach walls: those that they perceive, or all where they act on all positions.
+    """Keeps robots inside: limits how fast they approach walls.
+
+    These are the walls that robots perceive, or all walls where they act on all positions.
 
     Attributes:
-        share: Share of its distance from a wall that a robot goes in a step, at most.
+        share: Share of its distance from a wall that a robot goes in a step, at most. Under a scheduler whose moves
+            take many steps, it is so much less that no move reaches the wall.
     """
 
     share: float = WALL_SHARE
@@ -95,10 +98,30 @@ class WallShield(Shield):
     def __check_init__(self) -> None:
         check_number("share", self.share, 0, 1, exclusive_low=True)
 
+    def prepare(self, scheduler: Scheduler) -> WallShield:
+        """Returns the shield with its share.
+
+        Raises:
+            InputError: The scheduler states no longest move.
+        """
+        if scheduler.max_move_steps is None:
+            allowed = f"left out: the scheduler {scheduler.name} states no max_move_steps, and no share is safe"
+            raise InputError("shield.use", "walls", allowed)
+        return WallShield(min(self.share, ROUNDING / scheduler.max_move_steps))
+
     def __call__(self, velocities: Array, observation: Any, world: WorldConfig) -> Array:
         """Returns the velocities with their components towards near walls shortened."""
-        walls = _walls(observation, world)
-        return velocities if walls is None else limit_wall_approach(velocities, walls, self.share)
+        return _kept_inside(velocities, observation, world, self.share)
+
+
+def _kept_inside(velocities: Array, observation: Any, world: WorldConfig, share: Any) -> Array:
+    walls = _walls(observation, world)
+    if walls is None:
+        return velocities
+    # What the first time leaves of a long velocity towards a wall is rounded; the second time removes that too.
+    for _ in range(2):
+        velocities = limit_wall_approach(velocities, walls, share, _rounding(world))
+    return velocities
 
 
 def _walls(observation: Any, world: WorldConfig) -> Float[Array, "robots 4 2 *batch"] | None:
@@ -172,13 +195,7 @@ class ClearanceShield(Shield):
         nearest = jnp.min(jnp.concatenate([distance, far], axis=1), axis=1)
         limit = share * jnp.maximum(nearest - 2 * world.radius - _rounding(world), 0.0)
         shortened = velocities * jnp.where(speed > limit, limit / jnp.where(speed > limit, speed, 1.0), 1.0)[:, None]
-        walls = _walls(observation, world)
-        if walls is None:
-            return shortened
-        # What the first time leaves of a long velocity towards a wall is rounded; the second time removes that too.
-        for _ in range(2):
-            shortened = limit_wall_approach(shortened, walls, share, _rounding(world))
-        return shortened
+        return _kept_inside(shortened, observation, world, share)
 
 
 ROUNDING = 0.98
@@ -292,7 +309,9 @@ class ShieldWrapper(Wrapper):
         """Shortens the velocities and advances every episode by one step."""
         velocities = self.shield(action, self.observe(state), self.world)
         after, transition = self.env.step(state.inner, velocities)
-        shortened = jnp.sum(jnp.any(velocities != action, axis=1), axis=0, dtype=jnp.int32)
+        # Robots that do not look now move, if at all, with what they decided before.
+        shortened = jnp.any(velocities != action, axis=1) & after.looked(state.inner)
+        shortened = jnp.sum(shortened, axis=0, dtype=jnp.int32)
         return ShieldedState(after, state.shortened + shortened), transition
 
     def _begun(self, inner: Any) -> ShieldedState:

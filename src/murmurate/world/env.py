@@ -77,6 +77,10 @@ class State(eqx.Module):
         """The state of the world: this one."""
         return self
 
+    def looked(self, before: State) -> Bool[Array, "robots *batch"]:
+        """Returns which robots began a cycle in the step that led here: all, without a scheduler."""
+        return jnp.ones_like(before.positions[:, 0], bool)
+
 
 class World(eqx.Module):
     """A rectangle with N robots: the state is their positions, the action their velocities.
@@ -239,6 +243,14 @@ class WrappedState(eqx.Module):
     def interventions(self) -> Int[Array, "*batch"]:
         """How often a shield has shortened a robot's move."""
         return self.inner.interventions
+
+    def looked(self, before: Any) -> Bool[Array, "robots *batch"]:
+        """Returns which robots began a cycle in the step that led here.
+
+        Args:
+            before: The state before that step.
+        """
+        return self.inner.looked(before.inner)
 
 
 class Wrapper(eqx.Module):
@@ -587,6 +599,15 @@ class ScheduledState(WrappedState):
         """Epochs so far."""
         return self.completed_epochs
 
+    @property
+    def ready(self) -> Bool[Array, "robots *batch"]:
+        """Which robots are in no cycle, and begin one as soon as they are active."""
+        return self.pause + self.delay + self.steps_to_go == 0
+
+    def looked(self, before: ScheduledState) -> Bool[Array, "robots *batch"]:
+        """Returns which robots began a cycle in the step that led here."""
+        return before.ready & (self.idle == 0)
+
 
 class SchedulerWrapper(Wrapper):
     """Robots that look and move when a scheduler lets them.
@@ -660,11 +681,12 @@ class SchedulerWrapper(Wrapper):
     ) -> tuple[ScheduledState, Transition]:
         scheduler, limit = self.scheduler, self.config.max_speed
         # Look and compute: a robot that is ready and active commits itself to the velocity of what it sees now.
-        ready = state.pause + state.delay + state.steps_to_go == 0
+        ready = state.ready
         looks = ready & (activation.active | (state.idle >= scheduler.fairness_bound - 1))
         committed = jnp.where(looks[:, None], jnp.clip(velocities, -limit, limit), state.committed_velocity)
-        delay = jnp.where(looks, activation.delay, state.delay)
-        steps_to_go = jnp.where(looks, activation.move_steps, state.steps_to_go)
+        # A shield relies on what a scheduler states.
+        delay = jnp.where(looks, _at_most(activation.delay, scheduler.max_delay), state.delay)
+        steps_to_go = jnp.where(looks, _at_most(activation.move_steps, scheduler.max_move_steps), state.steps_to_go)
         speed = jnp.sqrt(jnp.sum(committed**2, axis=1))
         whole = speed * steps_to_go
         least = jnp.minimum(scheduler.min_move, whole)
@@ -689,3 +711,7 @@ class SchedulerWrapper(Wrapper):
             completed_epochs=state.completed_epochs + epoch,
             key=state.key,
         ), transition
+
+
+def _at_most(steps: Int[Array, "robots *batch"], limit: int | None) -> Int[Array, "robots *batch"]:
+    return steps if limit is None else jnp.minimum(steps, limit)
