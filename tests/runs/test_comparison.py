@@ -232,13 +232,24 @@ def test_whether_patterns_stay_is_shown_where_it_is_known(done, tmp_path):
     """Comparisons of version 0.1.0 did not watch them."""
     _, _, rows = done
     assert "| not at rest | not stationary | steps |" in comparison_page.tables(rows)
-    old = [{name: value for name, value in row.items() if name != "unsteady"} for row in rows]
+    assert "| efficiency | shortened | gap |" in comparison_page.tables(rows)
+    old = [{name: value for name, value in row.items() if name not in ("unsteady", "interventions")} for row in rows]
     (tmp_path / comparison.COMPARISON).write_text(json.dumps({"rows": old}))
-    assert "stationary" not in comparison_page.page(comparison.load(tmp_path)["rows"], [])
+    page = comparison_page.page(comparison.load(tmp_path)["rows"], []).lower()
+    assert "stationary" not in page and "shortened" not in page
     bad = [rows[0] | {"unsteady": rows[0]["episodes"] + 1}]
     (tmp_path / comparison.COMPARISON).write_text(json.dumps({"rows": bad}))
     with pytest.raises(RunError, match="row 1 has unsteady = 21"):
         comparison.load(tmp_path)
+
+
+def test_a_shield_s_interventions_are_counted(setting, tmp_path):
+    wanted = [Condition("random", "visible", "fsync", 3)]
+    for shield, counted in (("none", False), ("clearance", True)):
+        comparing = replace(setting, base=config_io.replaced(setting.base, {"shield": {"use": shield}}))
+        (row,) = compare(comparing, wanted, {}, tmp_path / shield)
+        assert (row["interventions"] > 0) == counted
+        assert (row["collisions"] == 0) >= counted
 
 
 @pytest.mark.parametrize(
@@ -331,16 +342,17 @@ def test_runs_of_other_sizes_starts_and_sensing_are_compared():
 
 
 def test_a_learned_method_makes_of_slow_moves_what_it_was_trained_to(setting):
-    """Baselines do as the experiment says; what counts as rest is the same for all."""
+    """Baselines do as they state; what counts as rest is the same for all."""
     slow = {"dead_zone": 0.05, "damping": 0.7, "sidestep": 0.5}
     other = config_io.replaced(tiny(policy={"use": "local", "hidden": [8, 4]}), {"rest": slow | {"window": 9}})
     shared_experiment({"first": setting.base, "other": config_io.replaced(setting.base, {"rest": slow})})
     condition = Condition("other", "visible", "fsync", 4, "random")
     rest = setting.problem(condition, other).rest
     assert {name: getattr(rest, name) for name in slow} == slow
-    usual = setting.problem(replace(condition, method="circle")).rest
-    assert (rest.window, rest.max_steps) == (usual.window, usual.max_steps)
-    assert (usual.dead_zone, usual.damping) == (setting.base.rest.dead_zone, setting.base.rest.damping) != (0.05, 0.7)
+    for name, stated in (("circle", (0.05, 0.0)), ("gradient", (0.12, 0.4))):
+        own = setting.problem(replace(condition, method=name)).rest
+        assert (own.dead_zone, own.damping, own.sidestep) == (*stated, setting.base.rest.sidestep)
+        assert (rest.window, rest.max_steps) == (own.window, own.max_steps)
 
 
 def test_contact_and_leaving_are_counted_apart(setting):

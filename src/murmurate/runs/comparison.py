@@ -155,8 +155,9 @@ class Comparison:
     """What is compared, and from which starts.
 
     Attributes:
-        base: The world, scaled to each swarm size, the start, the objective, the rest rule and the shield. Baselines
-            have its dead zone, damping and sidestep, too; a learned method has those that it was trained with.
+        base: The world, scaled to each swarm size, the start, the objective, the rest rule and the shield. What becomes
+            of slow moves is each method's own: a learned one has the dead zone, damping and sidestep that it was
+            trained with, a baseline those that its class states, with the sidestep of the base.
         episodes: Starts of each condition; the same for every method.
         seed: Seed of the starts, but for those of sets, and of frames, noise and scheduler; no training ever began at
             these starts.
@@ -177,13 +178,15 @@ class Comparison:
             condition: The condition.
             learned: The experiment of a learned method.
         """
-        sensing, scheduler = self.sensing(condition.sensing), self.scheduler(condition.scheduler)
-        if is_baseline(condition.method) and find_baseline(condition.method).centralised:
-            # A centralised method has one frame, and all positions in it.
-            sensing = GlobalSensing()
-        rest = self.base.rest
+        sensing, scheduler, rest = self.sensing(condition.sensing), self.scheduler(condition.scheduler), self.base.rest
         if learned is not None:
             rest = replace(rest, **{name: getattr(learned.rest, name) for name in _SLOW_MOVES})
+        elif is_baseline(condition.method):
+            baseline = find_baseline(condition.method)
+            rest = replace(rest, **_slow_moves(baseline))
+            if baseline.centralised:
+                # A centralised method has one frame, and all positions in it.
+                sensing = GlobalSensing()
         problem = replace(self.base, policy=LocalPolicy(), sensing=sensing, scheduler=scheduler, rest=rest, sizes=())
         return problem.of_size(condition.robots)
 
@@ -236,6 +239,11 @@ _TASK = ("objective", "signals", "valid", "world", "rest", "shield")
 
 _SLOW_MOVES = ("dead_zone", "damping", "sidestep")
 """The fields of a rest rule that say what robots make of slow moves, and not what counts as rest."""
+
+
+def _slow_moves(baseline: type[Baseline]) -> dict[str, float]:
+    """Returns the fields of a rest rule that a baseline states."""
+    return {"dead_zone": baseline.dead_zone, "damping": baseline.damping}
 
 
 def _task(experiment: ExperimentConfig, base: ExperimentConfig) -> dict[str, Any]:
@@ -306,10 +314,13 @@ def conditions(
             config_io.find_named(kind, word, tuple(names), kind.section)
     for robots in sizes:
         check_number("robots", robots, 2, 1000, integer=True)
+    fitting = [(start, robots) for start in starts for robots in sizes if start != "rings" or robots >= 4]
+    if not fitting:
+        raise InputError("robots", sizes[0], "at least 4 for the start rings")
     return [
         Condition(method, sensing, scheduler, robots, start)
         for start, sensing, scheduler, robots, method in itertools.product(starts, sensings, schedulers, sizes, methods)
-        if start != "rings" or robots >= 4
+        if (start, robots) in fitting
     ]
 
 
@@ -523,8 +534,8 @@ def _wrong_field(row: Any) -> str | None:
             return name
     if not isinstance(row.get("method"), str) or not 0 < len(row["method"]) <= 255:
         return "method"
-    for name in ("steps", "epochs", "efficiency", "gap", "best_known"):
-        value = row.get(name, None if name == "best_known" else "")
+    for name in ("steps", "epochs", "efficiency", "gap", "best_known", "interventions"):
+        value = row.get(name, None if name in ("best_known", "interventions") else "")
         if value is not None and not files.is_number(value):
             return name
     interval, worst = row.get("interval"), row.get("worst")
@@ -570,7 +581,9 @@ def sorted_rows(folder: str | Path) -> list[dict[str, Any]]:
     return sorted(load(folder)["rows"], key=key)
 
 
-_BY_NAME: dict[str, Any] = {"sensings": Sensing, "schedulers": Scheduler, "starts": Start, "weights": None}
+_BY_NAME: dict[str, Any] = {
+    "sensings": Sensing, "schedulers": Scheduler, "starts": Start, "weights": None, "baselines": None,
+}  # fmt: skip
 """The settings that are tables by name, with the kinds of their strategies. Rows are told apart by these names, so
 entries that only one of two comparisons has do no harm."""
 
@@ -589,7 +602,7 @@ def _settings(
         "signals": {name: config_io.to_dict(signal) for name, signal in base.signals.items()},
         "valid": dict(base.valid),
         "world": world,
-        "rest": asdict(base.rest),
+        "rest": {name: value for name, value in asdict(base.rest).items() if name not in ("dead_zone", "damping")},
         "shield": config_io.to_dict(base.shield),
         "seed": comparison.seed,
         "sensings": {name: config_io.to_dict(comparison.sensing(name)) for name in sensings},
@@ -599,6 +612,11 @@ def _settings(
             f"{name}, {sensing}": _fingerprint(run)
             for name, by_sensing in runs.items()
             for sensing, run in by_sensing.items()
+        },
+        "baselines": {
+            condition.method: _slow_moves(find_baseline(condition.method))
+            for condition in wanted
+            if condition.method not in runs
         },
     }
 
@@ -767,6 +785,7 @@ def _evaluate(
         "steps": mean("steps"),
         "epochs": mean("epochs"),
         "efficiency": mean("efficiency"),
+        "interventions": float(joined["interventions"].mean()),
         "best_known": known,
         "gap": None if known is None or value is None else known - value,
         "worst": [{"positions": joined["final"][i].round(3).tolist(), "free": bool(joined["free"][i])} for i in worst],
@@ -832,6 +851,7 @@ def _measure(problem: ExperimentConfig, batch: Trajectories) -> dict[str, np.nda
         "steps": batch.lengths,
         "epochs": batch.epochs,
         "efficiency": bound / np.maximum(batch.lengths, 1),
+        "interventions": batch.interventions,
         "objective": np.sum([values[:, -1] for values in batch.signals.values()], axis=0),
         "final": batch.final,
     }

@@ -17,7 +17,10 @@ CONDITION = ("start", "sensing", "scheduler", "N", "method")
 FAILURES = ("collided", "left", "hidden", "not at rest", "not stationary")
 """The columns that count what was wrong."""
 
-HEADER = (*CONDITION, "valid", "95% interval", *FAILURES, "steps", "epochs", "efficiency", "gap")
+HEADER = (*CONDITION, "valid", "95% interval", *FAILURES, "steps", "epochs", "efficiency", "shortened", "gap")
+
+LATER = {"not stationary": "unsteady", "shortened": "interventions"}
+"""Columns of fields that rows of older comparisons do not have."""
 
 RANDOM = "random"
 
@@ -43,6 +46,7 @@ def table_rows(rows: Iterable[Mapping[str, Any]]) -> list[Row]:
             _number(row["steps"], "{:.1f}"),
             _number(row["epochs"], "{:.1f}"),
             _number(row["efficiency"], "{:.2f}"),
+            _number(row.get("interventions"), "{:.1f}"),
             gap(row),
         )
         for row in rows
@@ -56,7 +60,7 @@ def tables(rows: Sequence[Mapping[str, Any]]) -> str:
     share is its heading instead of a column.
     """
     groups: dict[tuple[str, ...], list[Row]] = {}
-    unknown = [] if any("unsteady" in row for row in rows) else [HEADER.index("not stationary")]
+    unknown = [HEADER.index(column) for column, field in LATER.items() if not any(field in row for row in rows)]
     for row in table_rows(rows):
         groups.setdefault(tuple(row[:3] if row[0] == RANDOM else row[:1]), []).append(row)
     parts = []
@@ -102,7 +106,7 @@ def page(
         "and the same step budget. Robots have directions and handedness of their own; only",
         "`circle-central` has a common frame and all positions. Episodes that failed *collided*, *left* the world, had",
         "robots *hidden* from each other at the end, or were *not at rest*; an episode may count in several columns.",
-        *_STAY[: len(_STAY) if any("unsteady" in row for row in rows) else 0],
+        *(text for field, text in _NOTES.items() if any(field in row for row in rows)),
         "Steps, epochs and efficiency (kinematic bound over steps) are means over the valid episodes, and so is the",
         "gap: how far the objective is below that of the best-known pattern, where there is one, in percent of it.",
         "",
@@ -116,9 +120,11 @@ def page(
     return "\n".join(lines) + "\n"
 
 
-_STAY = (
-    "*Not stationary* are patterns that formed and did not stay: in the 200 steps after rest, with nothing frozen.",
-)
+_NOTES = {
+    "unsteady": "*Not stationary* are patterns that formed and did not stay: in the 200 steps after rest, with nothing "
+    "frozen.",
+    "interventions": "*Shortened* are the moves that the shield made shorter, a mean over all episodes.",
+}
 
 
 def kept(text: str) -> str:

@@ -38,6 +38,10 @@ class Baseline(Strategy):
     """Whether it uses the positions of all robots in one common frame, instead of each robot's own view."""
     deviations: ClassVar[str] = ""
     """How it differs from the method that it is named after, and what it knows more than the others."""
+    dead_zone: ClassVar[float] = 0.05
+    """Share of the speed limit below which its robots stand still, as `rest.dead_zone`."""
+    damping: ClassVar[float] = 0.0
+    """Share that its shortest moves lose, as `rest.damping`."""
 
     world: WorldConfig = eqx.field(static=True)
     landmark: bool = eqx.field(static=True)
