@@ -19,7 +19,7 @@ from murmurate.geometry import visible
 from murmurate.policies import ClearanceShield
 from murmurate.runs import presets
 from murmurate.runs.run import Run
-from murmurate.world import SlowMoves, WorldConfig, apply_dead_zone
+from murmurate.world import SlowMoves, SsyncScheduler, WorldConfig, apply_dead_zone
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")  # of what the converter imports
@@ -322,6 +322,15 @@ def test_a_model_says_what_it_is(equivariant):
     assert about["experiment"] == run.experiment.name
     assert (about["robots"], about["radius"], about["max_speed"], about["policies"]) == ("5", "1", "1", "0, 1")
     assert "zeros at first" in about["memory"]
+    assert about["scan_radius"] == f"{run.experiment.world.scan_radius:g}"
+
+
+def test_a_model_says_what_its_shield_counts_on():
+    run = untrained("local")
+    shielded = run.under(replace(run.experiment, shield=ClearanceShield(), scheduler=SsyncScheduler()))
+    about = programs.policy_program(shielded, 0).metadata
+    assert about["shield"] == "clearance"
+    assert float(about["shield.share"]) == pytest.approx(0.49)
 
 
 @pytest.mark.parametrize("index", [-1, 2])

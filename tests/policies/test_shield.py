@@ -198,7 +198,8 @@ def test_only_moves_that_begin_are_counted(name):
         begun += (np.abs(np.subtract(*moves)).max(axis=1) > 0).sum(axis=0)
         state = after
     np.testing.assert_array_equal(state.interventions, begun)
-    assert (begun > 0).all() and (begun < 3 * 12).all()
+    assert (begun > 0).all()
+    assert (begun < 3 * 12).all()
 
 
 @pytest.mark.parametrize(("robots", "name"), [(9, "fsync"), (5, "ssync, adversary, stopped anywhere"), (6, "async")])

@@ -31,9 +31,8 @@ from murmurate.world import (
     apply_dead_zone,
     with_array_leaves,
 )
-from oracles import contact
+from oracles import contact, visibility
 from oracles import signals as oracle
-from oracles import visibility
 
 CONFIG = WorldConfig(robots=4, half_width=20.0, half_height=15.0, scan_radius=12.0, collision_penalty=0.75)
 HORIZON = 7

@@ -27,6 +27,7 @@ from jaxtyping import Array, Float
 from murmurate.discovery.rest import RestLimits, all_still, has_ended
 from murmurate.errors import InputError
 from murmurate.registry import Strategy
+from murmurate.runs import config_io
 from murmurate.runs.run import Run
 from murmurate.types import Observation, View
 from murmurate.world import Configuration, Objective, WorldConfig, apply_dead_zone
@@ -273,14 +274,18 @@ def _objective(run: Run, positions: Float[Array, "robots 2 batch"], world: World
 def _metadata(run: Run, policies: str, **about: str) -> dict[str, str]:
     experiment, world = run.experiment, run.experiment.world
     parts = {"policy": experiment.policy, "shield": experiment.shield, "scheduler": experiment.scheduler}
+    # As the scheduler needs it: a robot may run the model under this scheduler, and under no slower one.
+    _, *shield_fields = config_io.to_dict(experiment.prepared_shield).items()
     return {
         "experiment": experiment.name,
         **{name: part.name for name, part in parts.items()},
+        **{f"shield.{name}": str(value) for name, value in shield_fields},
         "policies": policies,
         "robots": str(world.robots),
         "radius": f"{world.radius:g}",
         "max_speed": f"{world.max_speed:g}",
         "safe_distance": f"{world.safe_distance:g}",
+        "scan_radius": f"{world.scan_radius:g}",
         **about,
     }
 
