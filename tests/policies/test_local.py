@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from murmurate.errors import InputError
 from murmurate.policies import LocalPolicy
 from murmurate.policies.shield import WALL_SHARE
 from murmurate.world import Observation, Sensing, VisibleSensing, WorldConfig
@@ -19,15 +20,16 @@ R, SCAN = 1.0, 40.0
 
 @functools.cache
 def networks(landmark=True):
-    build = eqx.filter_jit(LocalPolicy(hidden=(16, 8), gaps=True).networks)
+    build = eqx.filter_jit(LocalPolicy(hidden=(16, 8), gaps=True, exits=True).networks)
     policy, value = build(WorldConfig(robots=6), landmark, jax.random.key(0))
     return louder(policy), value
 
 
 def louder(policy):
     """Fresh heads are all but silent: here they speak up."""
-    heads = lambda p: (p.head.weight, p.to_point.weight, p.to_gap.weight)  # noqa: E731
-    return eqx.tree_at(heads, policy, tuple(20 * weight for weight in heads(policy)))
+    names = [name for name in ("head", "to_point", "to_gap", "to_exit") if getattr(policy, name) is not None]
+    heads = lambda p: [getattr(p, name).weight for name in names]  # noqa: E731
+    return eqx.tree_at(heads, policy, [20 * weight for weight in heads(policy)])
 
 
 def configuration(seed=0, robots=6):
@@ -129,7 +131,7 @@ def test_a_robot_knows_no_size_of_the_world():
     """Neither its sides nor the time that it has: without walls to see, the same weights do the same."""
     policy, _ = networks()
     wide = WorldConfig(robots=6, half_width=500.0, half_height=70.0, collision_penalty=9.0)
-    build = eqx.filter_jit(LocalPolicy(hidden=(16, 8), gaps=True).networks)
+    build = eqx.filter_jit(LocalPolicy(hidden=(16, 8), gaps=True, exits=True).networks)
     wide_policy = louder(build(wide, True, jax.random.key(0))[0])
     plain = velocities(policy, configuration(), use="visible")
     np.testing.assert_array_equal(velocities(wide_policy, configuration(), use="visible"), plain)
@@ -206,15 +208,39 @@ def test_velocities_do_not_grow_with_the_swarm():
     assert mean[1] < 3 * mean[0]
 
 
+@pytest.mark.parametrize("robots", [8, 24, 100])
+def test_an_enclosed_robot_leaves_the_middle_of_a_ring(robots):
+    """However wide the ring is: the one at its exact centre stays, those on it do not act on gaps."""
+    build = eqx.filter_jit(LocalPolicy(hidden=(16, 8), gaps=True, exits=True).networks)
+    policy = build(WorldConfig(robots=robots), False, jax.random.key(0))[0]
+    silent = eqx.tree_at(lambda p: p, policy, jax.tree.map(jnp.zeros_like, eqx.filter(policy, eqx.is_array)))
+    leaving = eqx.tree_at(lambda p: p.to_exit.bias, silent, jnp.full(1, 3.0))
+    angle = 2 * np.pi * np.arange(robots - 1) / (robots - 1)
+    ring = 4.0 * robots * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    for share, least in ((0.0, None), (0.01, 0.5), (0.1, 0.9), (0.5, 0.95)):
+        inside = share * 4.0 * robots * np.array([np.cos(0.3), np.sin(0.3)])
+        moves = velocities(leaving, jnp.asarray(np.vstack([ring, inside]), jnp.float32), 3, rotation=True)
+        if least is None:
+            np.testing.assert_allclose(moves[-1], 0, atol=2e-3)
+        else:
+            assert moves[-1] @ np.array([np.cos(0.3), np.sin(0.3)]) >= least
+        np.testing.assert_allclose(moves[:-1], 0, atol=1e-6)
+
+
+def test_exits_need_gaps():
+    with pytest.raises(InputError, match=r"^exits = True: must be false without gaps$"):
+        LocalPolicy(exits=True)
+
+
 def test_a_network_is_given_walls_and_gaps_that_have_no_effect_yet():
     def build(**inputs):
         networks = eqx.filter_jit(LocalPolicy(hidden=(16, 8), **inputs).networks)
         return networks(WorldConfig(robots=6), True, jax.random.key(0))[0]
 
-    plain, template = build(), eqx.filter_eval_shape(lambda: build(walls=True, gaps=True))
+    plain, template = build(), eqx.filter_eval_shape(lambda: build(walls=True, gaps=True, exits=True))
     wider = plain.widened_to(template)
     assert jax.tree.map(jnp.shape, eqx.filter(wider, eqx.is_array)) == jax.tree.map(
-        jnp.shape, eqx.filter(build(walls=True, gaps=True), eqx.is_array)
+        jnp.shape, eqx.filter(build(walls=True, gaps=True, exits=True), eqx.is_array)
     )
     for walls in (False, True):
         _, observation = observed(configuration(), use="visible", walls=walls)
@@ -224,8 +250,11 @@ def test_a_network_is_given_walls_and_gaps_that_have_no_effect_yet():
     slope = eqx.filter_jit(eqx.filter_grad(lambda p: jnp.sum(p(observation) ** 2)))(wider)
     for head in (slope.to_gap, slope.to_walls):
         assert np.abs(head.weight).max() > 0
+    _, observation = observed(configuration().at[0].set(jnp.array([1.0, 2.0])), use="visible")
+    slope = eqx.filter_jit(eqx.filter_grad(lambda p: jnp.sum(p(observation) ** 2)))(wider)
+    assert np.abs(slope.to_exit.weight).max() > 0
     # What has all of them, or could only have walls before gaps, is left as it is.
-    for network in (build(walls=True, gaps=True), build(gaps=True)):
+    for network in (build(walls=True, gaps=True, exits=True), build(gaps=True)):
         assert network.widened_to(template) is network
 
 

@@ -16,7 +16,9 @@ Lengths are taken in radii as the robot perceives them, so that its unit of leng
 its velocity with it. Where walls are perceived, nobody goes more than a share of its way to one in a step.
 
 Where `gaps` is set, robots also move along the direction of the widest gap in what they see. At a corner of the hull
-that is outwards; a robot that is enclosed by others has no better way to where everybody sees it.
+that is outwards; a robot that is enclosed by others has no better way to where everybody sees it. In the middle of a
+wide ring all gaps are nearly alike, and their mean direction is short: where `exits` is set, enclosed robots also move
+along it whatever its length. So they leave that middle, the faster the farther from it.
 """
 
 from __future__ import annotations
@@ -28,6 +30,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from murmurate.errors import InputError
 from murmurate.geometry._batch_last import sum_terms
 from murmurate.policies.base import Policy, PolicyNetwork
 from murmurate.policies.equivariant import SharedPolicy, ValueHead
@@ -55,6 +58,14 @@ CRITICAL = 6.0
 """Lines of sight about to be crossed weigh, all together, less than so many robots near by."""
 
 
+ENCLOSED = 0.05
+"""Robots whose widest gap is narrower than a half turn by this share of it are enclosed."""
+
+
+ALIKE = 0.02
+"""Length of the mean direction of all gaps at which an enclosed robot acts on half of it: 0 is no direction."""
+
+
 WALL_REACH = 2.0
 """Walls farther away than about so many safe distances do not count: no swarm drifts away from them for ever."""
 
@@ -68,10 +79,17 @@ class LocalPolicy(SharedPolicy):
         basis: Number of radial basis functions.
         walls: Whether robots act on the walls that they perceive; otherwise walls only limit their velocities.
         gaps: Whether robots act on the widest gap in what they see.
+        exits: Whether enclosed robots act on its direction alone, however little wider than the others it is; only with
+            `gaps`.
     """
 
     walls: bool = eqx.field(default=False, static=True)
     gaps: bool = eqx.field(default=False, static=True)
+    exits: bool = eqx.field(default=False, static=True)
+
+    def __check_init__(self) -> None:
+        if self.exits and not self.gaps:
+            raise InputError("exits", self.exits, "false without gaps")
 
     perceives: ClassVar[bool] = True
 
@@ -96,6 +114,7 @@ class LocalNetwork(PolicyNetwork):
     to_point: Dense
     to_walls: Dense | None
     to_gap: Dense | None
+    to_exit: Dense | None
     log_std: Float[Array, ""]
     basis: int = eqx.field(static=True)
     world: WorldConfig = eqx.field(static=True)
@@ -115,6 +134,7 @@ class LocalNetwork(PolicyNetwork):
         # Of keys of their own, so that the other weights are those of a policy without.
         self.to_walls = Dense(nodes, policy.basis, jax.random.fold_in(key, 5), gain=0.05) if policy.walls else None
         self.to_gap = Dense(nodes, 2, jax.random.fold_in(key, 6), gain=0.05) if policy.gaps else None
+        self.to_exit = Dense(nodes, 1, jax.random.fold_in(key, 7), gain=0.05) if policy.exits else None
         self.log_std = jnp.zeros(())
         self.basis = policy.basis
         self.world = world
@@ -151,6 +171,11 @@ class LocalNetwork(PolicyNetwork):
         if self.to_gap is not None and gap is not None:
             g, h = self.to_gap(nodes)
             vx, vy = vx + g * gap.x - h * gap.y, vy + g * gap.y + h * gap.x
+            if self.to_exit is not None:
+                (g,) = self.to_exit(nodes)
+                # Corners of the hull are left alone, and so are robots to which all gaps are alike but for rounding.
+                g = g * jnp.clip(-gap.width / ENCLOSED, 0.0, 1.0) / (jnp.sqrt(gap.x**2 + gap.y**2 + 1e-12) + ALIKE)
+                vx, vy = vx + g * gap.x, vy + g * gap.y
         if self.landmark:
             ux, uy, _ = point(px, py, self.basis, world.safe_distance)
             g, h = self.to_point(nodes)
@@ -163,21 +188,22 @@ class LocalNetwork(PolicyNetwork):
         return velocity if walls is None else limit_wall_approach(velocity, walls)
 
     def widened_to(self, template: PolicyNetwork) -> PolicyNetwork:
-        """Returns this network with a template's width, perceived walls and widest gap, where it has less."""
+        """Returns this network with a template's width, perceived walls, widest gap and exits, where it has less."""
         if not isinstance(template, LocalNetwork):
             return self
         if (self.basis, self.landmark) != (template.basis, template.landmark):
             return self
-        missing = [name for name in ("to_walls", "to_gap") if getattr(self, name) is None and getattr(template, name)]
+        heads = ("to_walls", "to_gap", "to_exit")
+        missing = [name for name in heads if getattr(self, name) is None and getattr(template, name)]
         # Inputs are in order: a network with gaps cannot be given walls.
         if "to_walls" in missing and self.to_gap is not None:
             return self
         silent = [jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), getattr(template, name)) for name in missing]
 
-        def heads(network: LocalNetwork) -> list[Dense | None]:
+        def added(network: LocalNetwork) -> list[Dense | None]:
             return [getattr(network, name) for name in missing]
 
-        wider = eqx.tree_at(heads, self, silent, is_leaf=lambda leaf: leaf is None) if missing else self
+        wider = eqx.tree_at(added, self, silent, is_leaf=lambda leaf: leaf is None) if missing else self
         return widened(wider, template)
 
     def _near_walls(self, walls: Array) -> Float[Array, "basis robots 4 *batch"]:

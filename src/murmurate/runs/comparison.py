@@ -851,7 +851,7 @@ def _measure(problem: ExperimentConfig, batch: Trajectories) -> dict[str, np.nda
         "steps": batch.lengths,
         "epochs": batch.epochs,
         "efficiency": bound / np.maximum(batch.lengths, 1),
-        "interventions": batch.interventions,
+        "interventions": np.asarray(batch.interventions, np.int32),
         "objective": np.sum([values[:, -1] for values in batch.signals.values()], axis=0),
         "final": batch.final,
     }
