@@ -373,6 +373,7 @@ def test_contact_and_leaving_are_counted_apart(setting):
         terminated=~flags,
         epochs=np.ones(4, np.int32),
         signals={"close": np.ones((4, 2))},
+        interventions=np.arange(4, dtype=np.int32),
         after_rest=ends[:, None],
     )
     assert world.half_width == 12
@@ -380,6 +381,7 @@ def test_contact_and_leaving_are_counted_apart(setting):
     assert measured["collided"].tolist() == [True, False, True, False]
     assert measured["left"].tolist() == [False, True, True, False]
     assert measured["valid"].tolist() == [False, False, False, True]
+    assert measured["interventions"].tolist() == [0, 1, 2, 3]
 
 
 def test_symmetric_starts_are_cells_of_their_own(setting):
