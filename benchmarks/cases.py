@@ -220,5 +220,5 @@ def training(kind: str, size: Size) -> Case:
         return lambda: train_chunk(whole.state, whole.env, whole.hyper, whole.shape, whole.updates)
 
     pace = f", an action every {stage.repeat} steps" if stage.repeat > 1 else ""
-    work = size.updates * stage.steps_per_update
+    work = size.updates * stage.steps_per_update(0)
     return Case(TRAINING, f"{kind} policy{pace}", work, prepare, worlds=stage.ppo.worlds)

@@ -5,7 +5,12 @@ from __future__ import annotations
 from murmurate.runs import config_io, presets
 from murmurate.runs.experiment import ExperimentConfig
 
-_STAGE = {"horizon": 8, "repeat": 1, "ppo": {"updates": 4, "worlds": 8, "steps": 4, "minibatches": 2, "epochs": 1}}
+_STAGE = {
+    "horizon": 8,
+    "repeat": 1,
+    "refine": False,
+    "ppo": {"updates": 4, "worlds": 8, "steps": 4, "minibatches": 2, "epochs": 1},
+}
 
 TINY = {
     "name": "tiny",

@@ -15,7 +15,7 @@ from murmurate.discovery import DiscoveryConfig, Problem, RestRule, Search, Stag
 from murmurate.discovery.stage import draw_key, training_world
 from murmurate.errors import InputError
 from murmurate.geometry import clearances, neighbors
-from murmurate.learning import PPOConfig, ppo
+from murmurate.learning import GradientConfig, PPOConfig, ppo
 from murmurate.policies import CentralPolicy
 from murmurate.world import FileStart, ScatteredStart, SurroundedStart, WorldConfig, draw_starts
 
@@ -122,7 +122,7 @@ def test_there_is_a_row_for_every_update(unbroken):
     assert [r["policy_steps"] for r in rows[:UPDATES]] == [8 * 4 * u for u in range(1, UPDATES + 1)]
     for row in rows:
         assert set(row["signals"]) == {"nclose", "safety", "neighbors", "visible"}
-        assert all(np.isfinite(v) for v in jax.tree.leaves({k: v for k, v in row.items() if k != "name"}))
+        assert all(np.isfinite(v) for v in jax.tree.leaves(row) if not isinstance(v, str))
 
 
 def test_base_and_auxiliary_share_one_compilation(unbroken):
@@ -189,6 +189,70 @@ def test_an_auxiliary_may_begin_with_the_weights_before(unbroken):
     np.testing.assert_array_equal(begun.log_std, -2.0)
     cold = Judged(PROBLEM).training(unbroken[0][2]).policy
     assert not same(cold.head, before.head)
+
+
+REFINED = replace(
+    PROBLEM,
+    base=replace(BASE, refine=True, gradients=GradientConfig(updates=3, worlds=4, steps=2, minibatches=1, average=2)),
+    discovery=replace(PROBLEM.discovery, max_policies=1, min_policies=1),
+)
+
+
+@pytest.fixture(scope="module")
+def refined():
+    """Every snapshot of a discovery whose base policy is refined, and its metrics."""
+    discovery = Judged(REFINED)
+    snapshots, rows = [discovery.begin()], []
+    while not snapshots[-1].finished:
+        snapshot, more = discovery.advance(snapshots[-1])
+        snapshots.append(snapshot)
+        rows += more
+    return snapshots, rows
+
+
+def test_gradients_refine_what_ppo_has_discovered(refined):
+    """One policy in two phases: the second begins with the weights of the first and counts its own updates."""
+    snapshots, rows = refined
+    assert [s.phase for s in snapshots] == [0, 0, 1, 1, 0]
+    assert [s.train is None for s in snapshots] == [True, False, True, False, True]
+    assert [len(s.policies) for s in snapshots] == [0, 0, 0, 0, 1]
+    begun = Judged(REFINED).training(snapshots[2])
+    assert same(begun.policy, snapshots[2].unrefined)
+    assert int(begun.update) == 0
+    assert not same(snapshots[-1].policies[0], snapshots[2].unrefined)
+    plain = Judged(replace(REFINED, base=replace(REFINED.base, refine=False)))
+    assert same(finish(plain, plain.begin()).policies[0], snapshots[2].unrefined)
+    ppo_steps = [8 * 4 * update for update in range(1, UPDATES + 1)]
+    assert [(r["learner"], r["update"], r["policy_steps"]) for r in rows] == [
+        *(("ppo", update, steps) for update, steps in enumerate(ppo_steps, 1)),
+        *(("gradients", update, ppo_steps[-1] + 4 * 2 * update) for update in (1, 2, 3)),
+    ]
+    curriculum = Judged(REFINED).curriculum
+    assert curriculum.policy_steps(0) == rows[-1]["policy_steps"]
+
+
+@pytest.mark.parametrize("at", [1, 2, 3])
+def test_resuming_a_refinement_makes_the_same_weights(refined, at):
+    snapshots, _ = refined
+    host_copy = jax.device_get((snapshots[at].unrefined, snapshots[at].sigma, snapshots[at].train))
+    unrefined, sigma, train = jax.tree.map(jnp.asarray, host_copy)
+    ended = finish(Judged(REFINED), replace(snapshots[at], unrefined=unrefined, sigma=sigma, train=train))
+    assert same(ended.policies, snapshots[-1].policies)
+
+
+def test_a_refinement_keeps_margins_and_costs_of_its_own():
+    gradients = replace(REFINED.base.gradients, margins={"smooth_safety": 0.03})
+    problem = replace(REFINED, base=replace(REFINED.base, gradients=gradients))
+    signals, _ = problem.refinement(0)
+    assert (signals["smooth_safety"].margin, signals["smooth_visible"].margin) == (0.03, 0.1)
+    for name in ("compact", "visible", "nothing"):
+        wrong = replace(REFINED.base, gradients=replace(gradients, margins={name: 0.03}))
+        with pytest.raises(
+            InputError, match=rf"base\.gradients\.margins\.{name} .*exposed, smooth_safety, smooth_visible"
+        ):
+            replace(REFINED, base=wrong).refinement(0)
+    with pytest.raises(InputError, match=r"refine .*which refines already"):
+        StageConfig(learner="gradients", refine=True)
 
 
 @pytest.mark.parametrize(("least", "share", "policies"), [(1, 1.0, 1), (2, 1.0, 2), (1, 0.994, 3)])

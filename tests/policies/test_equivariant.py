@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from murmurate.policies import EquivariantPolicy
+from murmurate.policies.layers import bounded_by_component
 from murmurate.world import WorldConfig
 
 WORLD = WorldConfig(robots=5, max_speed=0.7)
@@ -20,9 +21,9 @@ seeds = st.integers(0, 2**32 - 1)
 angles = st.floats(-np.pi, np.pi)
 
 
-def networks(landmark, scale=1.0, dtype=jnp.float64):
+def networks(landmark, scale=1.0, dtype=jnp.float64, whole_square=False):
     """Networks far from their initial weights, as training would leave them: no coefficient is small or zero."""
-    built = EquivariantPolicy(hidden=(16, 8)).networks(WORLD, landmark, jax.random.key(0))
+    built = EquivariantPolicy(hidden=(16, 8), whole_square=whole_square).networks(WORLD, landmark, jax.random.key(0))
     leaves, structure = jax.tree.flatten(built)
     rng = np.random.default_rng(1)
     leaves = [jnp.asarray(scale * (np.asarray(x) + 0.3 * rng.normal(size=x.shape)), dtype) for x in leaves]
@@ -137,6 +138,29 @@ def test_the_bound_holds_in_float32_for_extreme_weights(landmark):
     speed = np.linalg.norm(call(policy, swarm(0, batch=64).astype(np.float32)), axis=1)
     assert speed.max() > 0.99 * WORLD.max_speed, "nothing comes near the bound"
     assert (speed <= WORLD.max_speed * (1 + 1e-6)).all()
+
+
+@BOTH
+@given(seed=seeds, scale=st.sampled_from([1e-6, 1e-3, 1.0, 10.0, 100.0, 1e4]))
+@settings(max_examples=15)
+def test_the_whole_square_has_the_same_directions(trained, landmark, seed, scale):
+    """A velocity is longer by what the square reaches beyond the disc: as far as sqrt(2) along a diagonal."""
+    positions = scale * swarm(seed)
+    disc, square = (
+        np.asarray(call(policy, positions))
+        for policy in (trained[landmark][0], networks(landmark, whole_square=True)[0])
+    )
+    reach = np.linalg.norm(disc, axis=1) / np.abs(disc).max(axis=1)
+    assert_equal(square, disc * reach[:, None])
+    assert (np.abs(square) <= WORLD.max_speed * (1 + 1e-12)).all()
+
+
+def test_a_diagonal_velocity_is_sqrt_2_times_as_fast_in_the_whole_square():
+    vx, vy = np.array([[30.0, 0.0, 30.0], [30.0, -30.0, 15.0]])[..., None]
+    expected = [[2.0, 2.0], [0.0, -2.0], [2.0, 1.0]]
+    np.testing.assert_allclose(bounded_by_component(vx, vy, 2.0)[..., 0], expected)
+    still = jax.jacobian(lambda v: bounded_by_component(v[:, :1], v[:, 1:], 2.0))(np.zeros((1, 2)))
+    assert np.isfinite(still).all(), "a robot that wishes nothing leaves a gradient"
 
 
 def coincidences():

@@ -115,7 +115,7 @@ def test_experiments_of_version_0_1_0_have_another_rule_of_rest(tmp_path):
     path = tmp_path / "experiment.toml"
     lines = path.read_text().splitlines()
     old = [line for line in lines if not line.startswith(("dead_zone", "stillness", "motion_cost"))]
-    assert len(old) == len(lines) - 4
+    assert len(old) == len(lines) - 6
     path.write_text("\n".join(old).replace("switch_tolerance", "tolerance = 0.0003\nswitch_tolerance"))
     rest = tiny().rest
     assert folder.experiment() == replace(tiny(), rest=replace(rest, dead_zone=0.0))

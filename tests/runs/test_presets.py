@@ -53,7 +53,8 @@ def test_presets_are_the_papers_experiments(name, learner):
 def test_the_longest_list_of_policies_stays_within_the_budget(learner):
     numbers = presets.TRAINING_PRESETS[learner]
     stages = [numbers.base] + [numbers.auxiliary] * (numbers.discovery.max_policies - 1)
-    assert sum(stage.ppo.updates * stage.steps_per_update for stage in stages) <= 4_000_000
+    phases = [(stage, phase) for stage in stages for phase in range(len(stage.learners))]
+    assert sum(stage.learning(phase).updates * stage.steps_per_update(phase) for stage, phase in phases) <= 4_000_000
 
 
 def test_what_is_tuned_for_an_experiment_changes_nothing_else():

@@ -287,6 +287,32 @@ def test_a_run_is_refined_by_gradients(finished, tmp_path):
     assert weights(train.discover(frozen, tmp_path / "frozen", initial=initial)) == weights(initial)
 
 
+def test_a_run_refines_what_it_discovers(tmp_path):
+    """Stopped in either phase or between them, and resumed, it ends in the same weights."""
+    gradients = {"updates": 4, "worlds": 4, "steps": 3, "minibatches": 2, "epochs": 1, "average": 2}
+    gradients["weights"] = {"smooth_safety": 0.0, "smooth_visible": 0.0, "exposed": 0.0}
+    config = tiny(base={"refine": True, "gradients": gradients}, discovery={"min_policies": 1, "max_policies": 1})
+    told = []
+    run = train.discover(
+        config, tmp_path / "unbroken", on_progress=lambda work, done, total, **_: told.append((work, done, total))
+    )
+    assert told[:5] == [
+        ("base policy", 0, 4), ("base policy", 2, 4), ("base policy", 4, 4),
+        ("base policy, refined", 2, 4), ("base policy, refined", 4, 4),
+    ]  # fmt: skip
+    recorded = [(row["learner"], row["update"], row["environment_steps"]) for row in rows(run.folder)]
+    assert recorded == [
+        *(("ppo", n, 32 * n) for n in range(1, 5)),
+        *(("gradients", n, 128 + 12 * n) for n in range(1, 5)),
+    ]
+    assert run.manifest["environment_steps"] == 176
+    for calls in (2, 3, 4):
+        folder = tmp_path / f"run{calls}"
+        with pytest.raises(StoppedError):
+            train.discover(config, folder, on_progress=stop_after(calls))
+        assert weights(train.discover(config, folder, resume=True)) == weights(run)
+
+
 def weights(run):
     return run.cascade.policies[0].body.layers[0].weight.tolist()
 

@@ -117,7 +117,7 @@ def check_parts(problem: Problem) -> None:
     check_problem(problem)
     world = build_world(problem)
     for index in range(min(2, problem.discovery.max_policies)):
-        if LEARNERS[problem.stage(index).learner].needs_gradients:
+        if any(LEARNERS[learner].needs_gradients for learner in problem.stage(index).learners):
             _check_gradients(problem, index, world)
     robots, batch = problem.world.robots, 2
     each, moves, whole = _floats(robots, batch), _floats(robots, 2, batch), _floats(batch)
@@ -201,7 +201,7 @@ def _check_policy(problem: Problem, env: World | Wrapper, positions: Float[Array
     _check("policy", problem.policy, act, {f"{what} returns": form for what, form in expected.items()})
     policy = policy_templates(problem, 1)[0]
     for index in range(min(2, problem.discovery.max_policies)):
-        numbers = problem.stage(index).learning
+        numbers = problem.stage(index).learning(0)
         scheduled = isinstance(numbers, PPOConfig) and numbers.exploration == "scheduled"
         if scheduled and not hasattr(policy, "log_std"):
             section = "base" if index == 0 else "auxiliary"

@@ -37,13 +37,15 @@ class Curriculum:
         problem = self.problem
         if not problem.sizes:
             return (problem,)
-        learner, config, parts = problem.base.learner, problem.discovery, []
-        numbers = problem.base.learning
+        config, parts = problem.discovery, []
         for robots in problem.sizes:
             ratio = min(problem.world.robots / robots, MAX_WORLDS_RATIO)
-            worlds = max(round(ratio * numbers.worlds / numbers.minibatches), 1) * numbers.minibatches
             part = problem.of_size(robots)
-            base = replace(part.base, **{learner: replace(numbers, worlds=worlds)})
+            base = part.base
+            for phase, learner in enumerate(base.learners):
+                numbers = base.learning(phase)
+                worlds = max(round(ratio * numbers.worlds / numbers.minibatches), 1) * numbers.minibatches
+                base = replace(base, **{learner: replace(numbers, worlds=worlds)})
             episodes = math.ceil(config.episodes / len(problem.sizes))
             parts.append(replace(part, base=base, discovery=replace(config, episodes=episodes)))
         return tuple(parts)
@@ -53,15 +55,21 @@ class Curriculum:
         number, offset = divmod(update, len(self.parts))
         return int(np.random.default_rng((self.problem.seed, number)).permutation(len(self.parts))[offset])
 
-    def chunk(self, index: int, update: int) -> int:
+    def chunk(self, index: int, phase: int, update: int) -> int:
         """Returns how many updates of a policy run next without visiting the host: all are of one part."""
         if self.problem.sizes:
             return 1
-        return min(self.problem.discovery.chunk, self.problem.stage(index).learning.updates - update)
+        return min(self.problem.discovery.chunk, self.problem.stage(index).learning(phase).updates - update)
 
-    def steps(self, index: int, updates: int) -> int:
-        """Returns the environment's steps in the first updates of the policy at a place in the list."""
-        per_update = [part.stage(index).steps_per_update for part in self.parts]
+    def policy_steps(self, index: int, phases: int | None = None) -> int:
+        """Returns the environment's steps in all phases of the policy at a place in the list, or in the first ones."""
+        stage = self.problem.stage(index)
+        phases = len(stage.learners) if phases is None else phases
+        return sum(self.steps(index, phase, stage.learning(phase).updates) for phase in range(phases))
+
+    def steps(self, index: int, phase: int, updates: int) -> int:
+        """Returns the environment's steps in the first updates of a phase of the policy at a place in the list."""
+        per_update = [part.stage(index).steps_per_update(phase) for part in self.parts]
         rounds, rest = divmod(updates, len(per_update))
         first = rounds * len(per_update)
         return rounds * sum(per_update) + sum(per_update[self.turn(first + offset)] for offset in range(rest))

@@ -49,12 +49,13 @@ def check_training(problem: Problem) -> None:
     robots = problem.world.robots
     for index in range(min(2, problem.discovery.max_policies)):
         stage = problem.stage(index)
-        numbers, name = stage.learning, f"{policy_name(index)}.{stage.learner}"
-        check_pairs(f"{name}.worlds", numbers.worlds, robots)
-        stored = numbers.worlds * robots**2
-        if stored * numbers.steps > MAX_STORED_PAIRS:
-            most = max(MAX_STORED_PAIRS // stored, 1)
-            raise InputError(f"{name}.steps", numbers.steps, f"at most {most} with {numbers.worlds} worlds of {robots}")
+        for phase, learner in enumerate(stage.learners):
+            numbers, name = stage.learning(phase), f"{policy_name(index)}.{learner}"
+            check_pairs(f"{name}.worlds", numbers.worlds, robots)
+            stored = numbers.worlds * robots**2
+            if stored * numbers.steps > MAX_STORED_PAIRS:
+                allowed = f"at most {max(MAX_STORED_PAIRS // stored, 1)} with {numbers.worlds} worlds of {robots}"
+                raise InputError(f"{name}.steps", numbers.steps, allowed)
     check_pairs("discovery.sigma", problem.discovery.sigma, robots)
     check_pairs("discovery.episodes", problem.discovery.episodes, robots)
     _check_window(problem.rest_in_steps, robots, problem.scheduler.period)

@@ -47,8 +47,9 @@ class StageConfig:
         weights: Weights of the signals in this policy's reward, by name; gathering stands for close (C1) or nclose
             (C2).
         learner: ppo, which discovers, or gradients, which refines what `--from` or `warm_start` begins with.
+        refine: Whether gradients refine the policy that ppo has discovered, from the same starts.
         ppo: Numbers of the learner ppo; its discount is the paper's F_gamma at this policy.
-        gradients: Numbers of the learner gradients; it has weights of its own.
+        gradients: Numbers of the learner gradients; it has weights, margins and a cost of motion of its own.
         horizon: Steps after which a training episode is truncated.
         repeat: Steps for which each action is kept up in training; the trained policy acts at every step.
         noise: Half-width of the uniform noise on each restart configuration, in robot radii (auxiliary only).
@@ -61,9 +62,9 @@ class StageConfig:
             in a tight grid, exactly symmetric or anywhere (base only).
         surrounded_share: Share of all training episodes that begin at the start `surrounded`: a ring of robots around
             one robot or a few (base only).
-        motion_cost: What each robot's credit loses in training for a step at the speed limit along an axis, and for a
-            shorter one in proportion; where the swarm learns from one credit, that loses the mean.
-        margin: Robots are trained as if their radius and safe distance were larger by this share, so that patterns hold
+        motion_cost: What each robot's credit loses in training by ppo for a step at the speed limit along an axis, and
+            for a shorter one in proportion; where the swarm learns from one credit, that loses the mean.
+        margin: ppo trains robots as if their radius and safe distance were larger by this share, so that patterns hold
             with room to spare.
         warm_start: Whether the policy begins with the weights of the one before, all but the spread of its actions
             (auxiliary only); its value network is new.
@@ -71,6 +72,7 @@ class StageConfig:
 
     weights: Mapping[str, float] = field(default_factory=dict)
     learner: str = "ppo"
+    refine: bool = False
     ppo: PPOConfig = field(default_factory=PPOConfig)
     gradients: GradientConfig = field(default_factory=GradientConfig)
     horizon: int = 120
@@ -91,6 +93,8 @@ class StageConfig:
         for name, weight in self.weights.items():
             check_number(f"weights.{name}", weight, 0, MAX_MAGNITUDE)
         check_choice("learner", self.learner, tuple(LEARNERS))
+        if self.refine and LEARNERS[self.learner].needs_gradients:
+            raise InputError("refine", self.refine, f"false with the learner {self.learner}, which refines already")
         for name in ("horizon", "repeat"):
             check_number(name, getattr(self, name), 1, MAX_INTEGER, integer=True)
         check_number("noise", self.noise, 0, MAX_MAGNITUDE)
@@ -103,15 +107,18 @@ class StageConfig:
         check_number("random_spread", self.random_spread, 0, 1, exclusive_low=True)
 
     @property
-    def steps_per_update(self) -> int:
-        """Steps of the environment in one update."""
-        repeat = self.repeat if LEARNERS[self.learner].repeats_actions else 1
-        return self.learning.worlds * self.learning.steps * repeat
+    def learners(self) -> tuple[str, ...]:
+        """The learners that train the policy, one after the other: its phases."""
+        return (self.learner, "gradients") if self.refine else (self.learner,)
 
-    @property
-    def learning(self) -> LearnerConfig:
-        """Numbers of the learner that trains the policy."""
-        return getattr(self, self.learner)
+    def learning(self, phase: int) -> LearnerConfig:
+        """Returns the numbers of the learner of a phase."""
+        return getattr(self, self.learners[phase])
+
+    def steps_per_update(self, phase: int) -> int:
+        """Returns the steps of the environment in one update of a phase."""
+        numbers = self.learning(phase)
+        return numbers.worlds * numbers.steps * (self.repeat if LEARNERS[self.learners[phase]].repeats_actions else 1)
 
 
 @dataclass(frozen=True)
@@ -243,18 +250,25 @@ class Problem:
         """Returns the signals, with their weights, that the learner gradients improves the policy at a place by.
 
         Raises:
-            InputError: There is no signal of a name.
+            InputError: There is no signal of a name, or it has no margin.
         """
-        given = dict(self.stage(index).gradients.weights)
+        numbers, section = self.stage(index).gradients, f"{'base' if index == 0 else 'auxiliary'}.gradients"
+        given, margins = dict(numbers.weights), numbers.margins
         gathering = given.pop(GATHERING, None)
         if gathering is not None:
             given["centered" if self.landmark else "compact"] = gathering
         configured, known = self.objective_signals, Signal.registered()
         for name in given:
             if name not in configured and name not in known:
-                section = f"{'base' if index == 0 else 'auxiliary'}.gradients.weights.{name}"
-                raise InputError(section, given[name], f"for a signal ({', '.join(sorted({*configured, *known}))})")
+                allowed = f"for a signal ({', '.join(sorted({*configured, *known}))})"
+                raise InputError(f"{section}.weights.{name}", given[name], allowed)
         signals: dict[str, Any] = {name: configured[name] if name in configured else known[name]() for name in given}
+        with_margin = sorted(name for name in given if name not in configured and hasattr(signals[name], "margin"))
+        for name, margin in margins.items():
+            if name not in with_margin:
+                allowed = f"for a signal of {section}.weights that has one ({', '.join(with_margin) or 'none has'})"
+                raise InputError(f"{section}.margins.{name}", margin, allowed)
+            signals[name] = replace(signals[name], margin=margin)
         return signals, given
 
     def of_size(self: ProblemT, robots: int) -> ProblemT:

@@ -46,7 +46,8 @@ class Snapshot:
         sigma: The set of configurations that the policy in training starts from, repeated up to a fixed number; empty
             when every episode of the policy before ended in contact or outside the world.
         valid: Share of valid patterns after the last finished policy.
-        train: Training of the current policy; None between two policies.
+        train: Training of the current policy; None before its first update in a phase.
+        unrefined: What ppo has discovered and gradients are to refine; None in the first phase of a policy.
         finished: Whether the search is over.
     """
 
@@ -55,8 +56,14 @@ class Snapshot:
     valid: float
     train: TrainState | None
     finished: bool = False
+    unrefined: Any | None = None
 
     __repr__ = short_repr
+
+    @property
+    def phase(self) -> int:
+        """Which learner of its stage trains the current policy."""
+        return 0 if self.unrefined is None else 1
 
 
 class Search:
@@ -108,11 +115,12 @@ class Search:
         for index in range(min(2, self.problem.discovery.max_policies)):
             for part in self.curriculum.parts:
                 stage = part.stage(index)
-                numbers, name = stage.learning, f"{policy_name(index)}.{stage.learner}"
                 robots = f" (swarms of {part.world.robots})" if self.problem.sizes else ""
-                check_divides(f"{name}.worlds{robots}", numbers.worlds)
-                part_of_pass = numbers.worlds * numbers.steps // numbers.minibatches
-                check_divides(f"{name}.worlds * steps / minibatches{robots}", part_of_pass)
+                for phase, learner in enumerate(stage.learners):
+                    numbers, name = stage.learning(phase), f"{policy_name(index)}.{learner}"
+                    check_divides(f"{name}.worlds{robots}", numbers.worlds)
+                    part_of_pass = numbers.worlds * numbers.steps // numbers.minibatches
+                    check_divides(f"{name}.worlds * steps / minibatches{robots}", part_of_pass)
 
     def begin(self) -> Snapshot:
         """Returns the snapshot before the first policy: sigma is the problem's start."""
@@ -122,16 +130,16 @@ class Search:
         """Returns the training of the next policy of the list."""
         sigmas = self._first_sigmas if self.problem.sizes else (snapshot.sigma,)
         starts = [world.start for world in self.part_worlds]
-        return Stage(self.curriculum, len(snapshot.policies), starts, sigmas)
+        return Stage(self.curriculum, len(snapshot.policies), snapshot.phase, starts, sigmas)
 
     def training(self, snapshot: Snapshot) -> TrainState:
         """Returns the state of the next policy's training, which may be before its first update."""
         if snapshot.train is not None:
             return snapshot.train
-        index, warm_start = len(snapshot.policies), None
-        if index < len(self.initial):
+        index, warm_start = len(snapshot.policies), snapshot.unrefined
+        if warm_start is None and index < len(self.initial):
             warm_start = self.initial[index]
-        elif index and self.problem.stage(index).warm_start:
+        elif warm_start is None and index and self.problem.stage(index).warm_start:
             warm_start = snapshot.policies[-1]
         return self.stage(snapshot).begin(warm_start)
 
@@ -196,8 +204,10 @@ def advance_together(
     advanced = []
     for search, snapshot, stage, train, result in zip(searches, snapshots, stages, before, results, strict=True):
         train, rows = stage.after_chunk(train, *result)
-        if stage.is_done(train):
+        if stage.is_done(train) and stage.is_last_phase:
             advanced.append((search.conclude(snapshot, train.result), rows))
+        elif stage.is_done(train):
+            advanced.append((replace(snapshot, train=None, unrefined=train.result), rows))
         else:
             advanced.append((replace(snapshot, train=train), rows))
     return advanced

@@ -15,7 +15,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from murmurate import prng
 from murmurate.discovery.build import build_environment, build_networks
 from murmurate.discovery.curriculum import Curriculum
-from murmurate.discovery.problem import Problem, StageConfig
+from murmurate.discovery.problem import Problem
 from murmurate.learning import LEARNERS, Chunk, Learner, TrainState
 from murmurate.world import (
     ActionRepeat,
@@ -107,19 +107,19 @@ def _discovery_environment(problem: Problem, index: int, start: Start, sigma: An
     """Every action is kept up for some steps; rewards are the changes of the objective."""
     world = training_world(problem, index, start, sigma)
     # Robots perceive the world as it is: the margin is in the reward and in what counts as contact alone.
-    env = _with_motion_cost(build_environment(problem, world, with_array_leaves(problem.world)), problem.stage(index))
-    return ActionRepeat(env, jnp.asarray(problem.stage(index).repeat, jnp.int32))
+    env, stage = build_environment(problem, world, with_array_leaves(problem.world)), problem.stage(index)
+    return ActionRepeat(_with_motion_cost(env, stage.motion_cost), jnp.asarray(stage.repeat, jnp.int32))
 
 
 def _refinement_environment(problem: Problem, index: int, start: Start, sigma: Any) -> Wrapper:
     """Every step costs what the objective of smooth signals lacks."""
     env = build_environment(problem, refinement_world(problem, index, start, sigma))
     env = ShortfallReward(env, with_array_leaves(problem.objective_signals))
-    return _with_motion_cost(env, problem.stage(index))
+    return _with_motion_cost(env, problem.stage(index).gradients.motion_cost)
 
 
-def _with_motion_cost(env: World | Wrapper, stage: StageConfig) -> Any:
-    return MotionCost(env, jnp.asarray(stage.motion_cost, jnp.float32)) if stage.motion_cost else env
+def _with_motion_cost(env: World | Wrapper, cost: float) -> Any:
+    return MotionCost(env, jnp.asarray(cost, jnp.float32)) if cost else env
 
 
 _ENVIRONMENTS = {"ppo": _discovery_environment, "gradients": _refinement_environment}
@@ -127,11 +127,12 @@ _ENVIRONMENTS = {"ppo": _discovery_environment, "gradients": _refinement_environ
 
 
 class Stage:
-    """The training of one policy: of one swarm size, or of several in turns.
+    """The training of one policy by one learner: of one swarm size, or of several in turns.
 
     Args:
         curriculum: The problems that it alternates among.
         index: Place of the policy in the list.
+        phase: Which of the learners of the policy trains it.
         starts: The prepared start of each problem.
         sigmas: The set of initial configurations of each problem.
     """
@@ -140,39 +141,43 @@ class Stage:
         self,
         curriculum: Curriculum,
         index: int,
+        phase: int,
         starts: Sequence[Start],
         sigmas: Sequence[Float[Array, "_ _ 2"]],
     ) -> None:
-        self.curriculum, self.index = curriculum, index
+        self.curriculum, self.index, self.phase = curriculum, index, phase
         self.config = curriculum.problem.stage(index)
+        self._learner: Learner = LEARNERS[self.config.learners[phase]]
         self._starts, self._sigmas = starts, sigmas
 
     def environment(self, part_index: int) -> Wrapper:
         """Returns what the policy is trained in: the problem's environment, rewarded as the learner needs it."""
         part = self.curriculum.parts[part_index]
         start, sigma = self._starts[part_index], self._sigmas[part_index]
-        return _ENVIRONMENTS[self.config.learner](part, self.index, start, sigma)
+        return _ENVIRONMENTS[self.config.learners[self.phase]](part, self.index, start, sigma)
 
     def begin(self, warm_start: Any | None = None) -> TrainState:
         """Returns the state of the training before its first update.
+
+        The value network is always new: rewards are others in another phase.
 
         Args:
             warm_start: A policy network whose weights to begin with.
         """
         problem = self.curriculum.problem
-        policy, value = build_networks(problem, draw_key(problem, self.index, "networks"))
+        policy, value = build_networks(problem, self._key(problem, "networks"))
         policy = policy if warm_start is None else warm_start
         states = tuple(self._worlds(part_index) for part_index in range(len(self.curriculum.parts)))
-        key = draw_key(problem, self.index, "training")
-        return self._learner.begin(policy, value, states, key, self.config.learning)
+        key = self._key(problem, "training")
+        return self._learner.begin(policy, value, states, key, self.config.learning(self.phase))
 
     def next_chunk(self, train: TrainState) -> Chunk:
         """Returns the updates to run next."""
         update = int(train.update)
         part_index = self.curriculum.turn(update)
-        numbers, learner = self.curriculum.parts[part_index].stage(self.index).learning, self._learner
+        numbers, learner = self.curriculum.parts[part_index].stage(self.index).learning(self.phase), self._learner
         train = eqx.tree_at(lambda t: t.env_state, train, train.env_state[part_index])
-        updates = self.curriculum.chunk(self.index, update)
+        updates = self.curriculum.chunk(self.index, self.phase, update)
         hyper, shape = learner.hyperparameters(numbers), learner.shape(numbers)
         return Chunk(train, self.environment(part_index), hyper, shape, updates, learner.train_chunk)
 
@@ -185,29 +190,35 @@ class Stage:
         trained = eqx.tree_at(lambda t: t.env_state, trained, states)
         metrics = jax.device_get(metrics)
         count, robots = len(metrics["reward"]), self.curriculum.parts[part_index].world.robots
-        rows = []
+        earlier, rows = self.curriculum.policy_steps(self.index, self.phase), []
+        place = {"policy": self.index, "name": policy_name(self.index), "learner": self.config.learners[self.phase]}
         for number in range(count):
             update = done - count + number + 1
             values = jax.tree.map(lambda x, number=number: float(x[number]), metrics)
-            row = {"policy": self.index, "name": policy_name(self.index), "update": update, **values}
-            row["policy_steps"] = self.curriculum.steps(self.index, update)
-            rows.append({**row, "robots": robots})
+            steps = earlier + self.curriculum.steps(self.index, self.phase, update)
+            rows.append({**place, "update": update, **values, "policy_steps": steps, "robots": robots})
         return trained, rows
 
     @property
-    def _learner(self) -> Learner:
-        return LEARNERS[self.config.learner]
+    def is_last_phase(self) -> bool:
+        """Whether no other learner trains the policy after this one."""
+        return self.phase == len(self.config.learners) - 1
 
     def is_done(self, train: TrainState) -> bool:
         """Returns whether the last update has been run."""
-        return int(train.update) >= self.config.learning.updates
+        return int(train.update) >= self.config.learning(self.phase).updates
+
+    def _key(self, problem: Problem, purpose: str) -> PRNGKeyArray:
+        """Returns the key for one purpose in this phase."""
+        key = draw_key(problem, self.index, purpose)
+        return jax.random.fold_in(key, self.phase) if self.phase else key
 
     def _worlds(self, part_index: int) -> Any:
         """Begins the parallel episodes that the policy is trained in."""
         part = self.curriculum.parts[part_index]
         stage = part.stage(self.index)
-        worlds, clock = jax.random.split(draw_key(part, self.index, "worlds"))
-        state = _reset(self.environment(part_index), worlds, stage.learning.worlds)
+        worlds, clock = jax.random.split(self._key(part, "worlds"))
+        state = _reset(self.environment(part_index), worlds, stage.learning(self.phase).worlds)
         # Episodes that all began together would all end together, and every batch would hold one age only.
         step = state.unwrapped.step
         ages = jax.random.randint(clock, step.shape, 0, stage.horizon, step.dtype)

@@ -62,6 +62,8 @@ class GradientConfig:
             updates; 0 for the weights of the last one.
         weights: Weights in the reward of signals that have a gradient, by name: of the objective, of one's own, or of
             the package; gathering stands for centered (C1) or compact (C2).
+        margins: Margins of the package's signals among them, by name, in place of their own.
+        motion_cost: What each step at the speed limit along an axis costs, and a shorter one in proportion.
     """
 
     updates: int = 600
@@ -87,6 +89,8 @@ class GradientConfig:
             "exposed": 2.0,
         }
     )
+    margins: Mapping[str, float] = field(default_factory=dict)
+    motion_cost: float = 0.0
 
     __repr__ = short_repr
 
@@ -105,6 +109,9 @@ class GradientConfig:
             check_number(name, getattr(self, name), 0, MAX_RATE, exclusive_low=True)
         for name, weight in self.weights.items():
             check_number(f"weights.{name}", weight, 0, MAX_MAGNITUDE)
+        for name, margin in self.margins.items():
+            check_number(f"margins.{name}", margin, 0, MAX_MAGNITUDE)
+        check_number("motion_cost", self.motion_cost, 0, MAX_MAGNITUDE)
 
 
 class GradientHyperparameters(eqx.Module):

@@ -11,8 +11,9 @@ The coefficients come from one round of messages: every robot sums up its surrou
 is itself with what its two robots found around them. Features are projected per robot before pairs are formed, and the
 batch stays last: wide arithmetic on narrow rows is what costs on a CPU.
 
-A bound on each velocity component, as the paper has it, changes with the axes. Here the NORM is bounded by the speed
-limit, which stays within the component bound in every direction; the world clips by component all the same.
+A bound on each velocity component, as the paper has it, changes with the axes. So the NORM is bounded by the speed
+limit, which stays within the component bound in every direction. With `whole_square` each component is: directions are
+the same then, but along a diagonal robots move up to sqrt(2) times as fast.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ from murmurate.policies.features import (
     robot_channels,
     surroundings,
 )
-from murmurate.policies.layers import Dense, Linear, bounded, widened
+from murmurate.policies.layers import Dense, Linear, bounded, bounded_by_component, widened
 from murmurate.representation import short_repr
 from murmurate.world.config import WorldConfig
 
@@ -66,7 +67,11 @@ class EquivariantPolicy(SharedPolicy):
     Attributes:
         hidden: Widths of the node and the edge layer; one number serves for both.
         basis: Number of radial basis functions.
+        whole_square: Whether the speed limit is that of each component of a velocity, as in the paper, instead of its
+            norm. Robots then need a common frame.
     """
+
+    whole_square: bool = eqx.field(default=False, static=True)
 
     def networks(
         self, world: WorldConfig, landmark: bool, key: PRNGKeyArray
@@ -89,8 +94,9 @@ class EquivariantNetwork(PolicyNetwork):
     basis: int = eqx.field(static=True)
     world: WorldConfig = eqx.field(static=True)
     landmark: bool = eqx.field(static=True)
+    whole_square: bool = eqx.field(static=True)
 
-    def __init__(self, policy: SharedPolicy, world: WorldConfig, landmark: bool, key: PRNGKeyArray) -> None:
+    def __init__(self, policy: EquivariantPolicy, world: WorldConfig, landmark: bool, key: PRNGKeyArray) -> None:
         keys = jax.random.split(key, 6)
         nodes, edges = policy.hidden[0], policy.hidden[-1]
         self.node = Dense(robot_channels(policy.basis, landmark), nodes, keys[0], gain=5 / 3)
@@ -103,6 +109,7 @@ class EquivariantNetwork(PolicyNetwork):
         self.basis = policy.basis
         self.world = world
         self.landmark = landmark
+        self.whole_square = policy.whole_square
 
     def features(self, observation: Float[Array, "robots 2 *batch"]) -> PositionFeatures:
         """Returns positions with what takes longest to compute from them, a sum over all triples of robots."""
@@ -122,7 +129,8 @@ class EquivariantNetwork(PolicyNetwork):
             px, py, _ = point(-positions[:, 0], -positions[:, 1], self.basis, self.world.safe_distance)
             g, h = self.to_point(nodes)
             vx, vy = vx + g * px - h * py, vy + g * py + h * px
-        return bounded(vx, vy, self.world.max_speed)
+        shorten = bounded_by_component if self.whole_square else bounded
+        return shorten(vx, vy, self.world.max_speed)
 
     def widened_to(self, template: PolicyNetwork) -> PolicyNetwork:
         """Returns this network with the width of a template that has the same inputs."""

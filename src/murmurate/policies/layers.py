@@ -13,7 +13,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from murmurate import prng
 from murmurate.representation import short_repr
 
-__all__ = ["Dense", "Linear", "Tanh", "bounded", "widened"]
+__all__ = ["Dense", "Linear", "Tanh", "bounded", "bounded_by_component", "widened"]
 
 
 def bounded(
@@ -21,8 +21,28 @@ def bounded(
 ) -> Float[Array, "robots 2 *batch"]:
     """Puts velocities together, smoothly shortened so that the NORM of none is above the limit."""
     velocity = jnp.stack([vx, vy], axis=1)
-    norm = jnp.sqrt(jnp.sum(velocity**2, axis=1, keepdims=True) + 1e-12)
+    norm = _norm(velocity)
     return limit * velocity * (jnp.tanh(norm) / norm)
+
+
+def bounded_by_component(
+    vx: Float[Array, "robots *batch"], vy: Float[Array, "robots *batch"], limit: float
+) -> Float[Array, "robots 2 *batch"]:
+    """Puts velocities together, smoothly shortened so that no COMPONENT is above the limit.
+
+    Their directions are those of `bounded`. Each is as much longer as the square of the allowed velocities reaches
+    beyond its inscribed disc in that direction.
+    """
+    velocity = jnp.stack([vx, vy], axis=1)
+    norm = _norm(velocity)
+    # Of a velocity of almost 0, which has no direction, no component counts as its longest.
+    longest = jnp.maximum(jnp.max(jnp.abs(velocity), axis=1, keepdims=True), norm / 2)
+    return limit * velocity * (jnp.tanh(norm) / longest)
+
+
+def _norm(velocity: Float[Array, "robots 2 *batch"]) -> Float[Array, "robots 1 *batch"]:
+    # The gradient of the square root at 0 is not finite.
+    return jnp.sqrt(jnp.sum(velocity**2, axis=1, keepdims=True) + 1e-12)
 
 
 class Linear(eqx.Module):

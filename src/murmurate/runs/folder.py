@@ -431,14 +431,19 @@ class RunFolder:
         count = notes.integer("policies", MAX_POLICIES)
         valid, seconds = notes.number("valid", 1), notes.number("seconds", math.inf)
         finished, training = notes.flag("finished"), notes.flag("training")
+        # Older versions had no refinement.
+        refining = "refining" in notes.values and notes.flag("refining")
+        if refining and not search.problem.stage(count).refine:
+            notes.refuse("refining")
         shape = (notes.integer("sigma", MAX_INTEGER), search.problem.world.robots, 2)
         policies = policy_templates(search.problem, count)
         sigma = jax.ShapeDtypeStruct(shape, jnp.float32)
-        template = {"policies": policies, "sigma": sigma, "train": None}
+        unrefined = policy_templates(search.problem, 1)[0] if refining else None
+        template = {"policies": policies, "sigma": sigma, "train": None, "unrefined": unrefined}
         if training:
-            template["train"] = eqx.filter_eval_shape(_training_state, search, policies, sigma)
+            template["train"] = eqx.filter_eval_shape(_training_state, search, policies, sigma, unrefined)
         tree = files.read_tree(path, template, _RENAMED)
-        snapshot = Snapshot(tree["policies"], tree["sigma"], valid, tree["train"], finished)
+        snapshot = Snapshot(tree["policies"], tree["sigma"], valid, tree["train"], finished, tree["unrefined"])
         return Checkpoint(snapshot, notes.integer("rows", MAX_INTEGER), seconds)
 
     def checkpoint_rows(self) -> int:
@@ -457,12 +462,13 @@ class RunFolder:
             "policies": len(snapshot.policies),
             "sigma": len(snapshot.sigma),
             "training": snapshot.train is not None,
+            "refining": snapshot.unrefined is not None,
             "valid": snapshot.valid,
             "finished": snapshot.finished,
             "rows": checkpoint.rows,
             "seconds": checkpoint.seconds,
         }
-        tree = {"policies": snapshot.policies, "sigma": snapshot.sigma, "train": snapshot.train}
+        tree = {name: getattr(snapshot, name) for name in ("policies", "sigma", "train", "unrefined")}
         files.make_folder(self._inside(CHECKPOINT))
         files.write_tree(self._inside(f"{CHECKPOINT}/{SNAPSHOT}"), tree, notes)
 
@@ -895,19 +901,20 @@ class _Notes:
     def integer(self, name: str, high: int) -> int:
         """Returns a whole number from 0 to `high`."""
         value = self.values.get(name)
-        return value if isinstance(value, int) and self.number(name, high) >= 0 else self._refuse(name)
+        return value if isinstance(value, int) and self.number(name, high) >= 0 else self.refuse(name)
 
     def number(self, name: str, high: float) -> float:
         """Returns a number from 0 to `high`."""
         value: Any = self.values.get(name)
-        return value if files.is_number(value) and 0 <= value <= high else self._refuse(name)
+        return value if files.is_number(value) and 0 <= value <= high else self.refuse(name)
 
     def flag(self, name: str) -> bool:
         """Returns true or false."""
         value = self.values.get(name)
-        return value if isinstance(value, bool) else self._refuse(name)
+        return value if isinstance(value, bool) else self.refuse(name)
 
-    def _refuse(self, name: str) -> Any:
+    def refuse(self, name: str) -> Any:
+        """Raises the error about a note."""
         has = f"{name} = {shown(self.values.get(name))}"
         raise RunError(f"{self._path} is not a checkpoint of this version of murmurate: it has {has}")
 
@@ -991,5 +998,5 @@ _MANIFEST_FIELDS: Mapping[str, tuple[Callable[[Any], bool], str]] = {
 }
 
 
-def _training_state(search: Search, policies: tuple[Any, ...], sigma: jax.Array) -> Any:
-    return search.training(Snapshot(policies, sigma, 0.0, None))
+def _training_state(search: Search, policies: tuple[Any, ...], sigma: jax.Array, unrefined: Any | None) -> Any:
+    return search.training(Snapshot(policies, sigma, 0.0, None, unrefined=unrefined))

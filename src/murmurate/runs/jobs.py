@@ -188,11 +188,14 @@ def _training_progress(folder: Path, config: ExperimentConfig) -> Progress | Non
     if not rows:
         return None
     last, speed = rows[-1], rows[-1]["steps_per_second"]
-    policy, updates, left = last["policy"], config.stage(last["policy"]).learning.updates, None
+    policy, left = last["policy"], None
+    stage_config = config.stage(policy)
+    phase = stage_config.learners.index(last.get("learner", stage_config.learner))
+    updates = stage_config.learning(phase).updates
     if len(rows) > 1 and speed:
         steps = last["environment_steps"] - rows[-2]["environment_steps"]
         left = (updates - last["update"]) * steps / speed
-    stage = policy_name(policy) + (f" {policy}" if policy > 1 else "")
+    stage = policy_name(policy) + (f" {policy}" if policy > 1 else "") + (", refined" if phase else "")
     if run.is_trained():
         stage = "evaluation"
     return Progress(stage, last["update"], updates, last["reward"], speed, left)

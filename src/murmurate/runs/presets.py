@@ -12,7 +12,7 @@ from murmurate.discovery import DiscoveryConfig, RestRule, StageConfig
 from murmurate.discovery.problem import GATHERING, GATHERING_SIGNALS
 from murmurate.errors import check_choice
 from murmurate.learning import PPOConfig
-from murmurate.policies import CentralPolicy, EquivariantPolicy, LocalPolicy, Policy
+from murmurate.policies import CentralPolicy, EquivariantPolicy, LocalPolicy, NoShield, Policy, Shield
 from murmurate.runs import config_io
 from murmurate.runs.experiment import ExperimentConfig, make_importer, read_toml
 from murmurate.runs.paper import EXPERIMENTS, NOISE, PaperExperiment, check_experiment
@@ -40,6 +40,7 @@ class TrainingPreset:
         auxiliary: How each auxiliary policy is trained.
         discovery: How the list of policies grows.
         rest: When a policy has come to rest.
+        shield: What shortens the robots' moves.
     """
 
     policy: Policy
@@ -47,6 +48,7 @@ class TrainingPreset:
     auxiliary: StageConfig
     discovery: DiscoveryConfig = field(default_factory=DiscoveryConfig)
     rest: RestRule = field(default_factory=RestRule)
+    shield: Shield = field(default_factory=NoShield)
 
 
 # Each action is kept up for some steps while learning: exploration then moves robots instead of jittering them, without
@@ -252,6 +254,7 @@ def _experiment(name: str, objective: Any, world: WorldConfig, start: Start, lea
         auxiliary=numbers.auxiliary,
         discovery=numbers.discovery,
         rest=numbers.rest,
+        shield=numbers.shield,
         seed=0,
     )
 

@@ -158,15 +158,14 @@ class _Training:
     checkpoint: Checkpoint
 
     @property
-    def progress(self) -> tuple[int, int]:
-        """Its progress, to compare: finished policies, and updates of the one in training."""
+    def progress(self) -> tuple[int, int, int]:
+        """Its progress, to compare: finished policies, and phase and updates of the one in training."""
         snapshot = self.checkpoint.snapshot
-        return len(snapshot.policies), 0 if snapshot.train is None else int(snapshot.train.update)
+        return len(snapshot.policies), snapshot.phase, 0 if snapshot.train is None else int(snapshot.train.update)
 
     def environment_steps(self, policies: int) -> int:
         """Returns the steps that training the first policies of the list took; evaluations are not training."""
-        curriculum, problem = self.search.curriculum, self.search.problem
-        return sum(curriculum.steps(index, problem.stage(index).learning.updates) for index in range(policies))
+        return sum(map(self.search.curriculum.policy_steps, range(policies)))
 
 
 # Before the training: what the folders hold, and what the training begins with
@@ -314,8 +313,11 @@ def _advance(trainings: Sequence[_Training]) -> tuple[list[_Training], list[dict
         _check_finite(training, rows)
     after, last_rows = [], []
     for training, (snapshot, rows) in zip(trainings, advanced, strict=True):
-        checkpoint, index = training.checkpoint, len(training.checkpoint.snapshot.policies)
-        steps = rows[-1]["policy_steps"] - training.search.curriculum.steps(index, rows[0]["update"] - 1)
+        checkpoint = training.checkpoint
+        index, phase, _ = training.progress
+        curriculum = training.search.curriculum
+        before = curriculum.policy_steps(index, phase) + curriculum.steps(index, phase, rows[0]["update"] - 1)
+        steps = rows[-1]["policy_steps"] - before
         # Of the time that all took together, each is charged an equal part.
         share = took / len(trainings)
         signals = training.search.problem.objective_signals
@@ -366,17 +368,19 @@ def _report(
 ) -> None:
     """Reports the training that is furthest behind, as it was before a chunk, with means over all of them."""
     behind = min(range(len(before)), key=lambda index: before[index].progress)
-    policy, done = before[behind].progress
+    policy, phase, done = before[behind].progress
     if rows:
         done = rows[behind]["update"]
         values["steps_per_second"] = statistics.fmean(row["steps_per_second"] for row in rows)
         values["reward"] = statistics.fmean(row["reward"] for row in rows)
         visible = [row["signals"]["visible"] for row in rows if "visible" in row["signals"]]
         values |= {"visible": statistics.fmean(visible)} if visible else {}
-    if after and after[behind].checkpoint.snapshot.train is None:
+    if after and len(after[behind].checkpoint.snapshot.policies) > policy:
         values["valid"] = statistics.fmean(training.checkpoint.snapshot.valid for training in after)
-    work = _policy_title(policy) + (f" of {len(before)} runs" if len(before) > 1 else "")
-    on_progress(work, done, before[behind].search.problem.stage(policy).learning.updates, **values)
+    stage = before[behind].search.problem.stage(policy)
+    title = _policy_title(policy) + (", refined" if phase else "")
+    work = f"{title} of {len(before)} runs" if len(before) > 1 else title
+    on_progress(work, done, stage.learning(phase).updates, **values)
 
 
 def _policy_title(index: int) -> str:
