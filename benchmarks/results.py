@@ -1,6 +1,6 @@
 """Regenerates docs/results.md and its pictures: `make results`. Trains what is missing; finished runs are reused.
 
-python -m benchmarks.results [--runs runs] [--out docs] [--policies equivariant central] [--seeds 0 1 2]
+python -m benchmarks.results [--runs runs] [--out docs] [--policies equivariant central] [--seeds 0 1 2 3 4]
                              [--only-finished]
 """
 
@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 
@@ -22,7 +24,15 @@ from murmurate.runs.grid import Grid
 from murmurate.runs.jobs import training_jobs
 from murmurate.runs.paper import EXPERIMENTS
 from murmurate.runs.run import Run
-from murmurate.world import DistributedStart, PackedStart, ScatteredStart, Start, UniformStart, draw_starts
+from murmurate.world import (
+    ClusterStart,
+    DistributedStart,
+    PackedStart,
+    ScatteredStart,
+    Start,
+    UniformStart,
+    draw_starts,
+)
 
 POLICIES = ("equivariant", "central")
 
@@ -34,7 +44,10 @@ OTHER_STARTS: dict[str, Start] = {
     "one line": PackedStart(),
     "two lines": PackedStart(lines=2),
     "one line, noise R": PackedStart(noise=1.0),
+    "cluster": ClusterStart(),
 }
+NOISY = "its own, noise 4 R"
+"""Column of an experiment's own start with twice the paper's noise."""
 
 COLUMNS = ("experiment", "seed", "valid", "base steps", "auxiliary steps", "total steps", "paper's total", "bound")
 COLUMNS += ("total / bound", "gap", "policies", "training")
@@ -45,7 +58,8 @@ def other_starts(run: Run) -> list[str]:
     """Evaluates one run from every kind of start; returns the cells of a row."""
     world = run.experiment.world
     cells = []
-    for index, start in enumerate(OTHER_STARTS.values()):
+    own = cast(Start, replace(cast(Any, run.experiment.start), noise=4.0))
+    for index, start in enumerate((*OTHER_STARTS.values(), own)):
         points = draw_starts(start.prepare(world), prng.key(10_000 + index), EPISODES, world)
         trajectories = run.rollout(points)
         validity = check_validity(trajectories, world)
@@ -99,7 +113,7 @@ def write(runs: list[Path], out: Path, commands: str) -> None:
     page = PAGE.format(
         machine=machine(runs[0]),
         results=results(rows),
-        others=table.as_markdown(("", *OTHER_STARTS), others),
+        others=table.as_markdown(("", *OTHER_STARTS, NOISY), others),
         commands=commands,
     )
     path = out / "results.md"
@@ -178,7 +192,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--runs", type=Path, default=Path("runs"))
     parser.add_argument("--out", type=Path, default=Path("docs"))
-    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2, 3, 4])
     parser.add_argument("--only-finished", action="store_true", help="train nothing: write what the finished runs show")
     parser.add_argument("--policies", nargs="+", default=POLICIES, choices=POLICIES)
     options = parser.parse_args()

@@ -8,6 +8,7 @@ from murmurate.runs.experiment import ExperimentConfig
 _STAGE = {
     "horizon": 8,
     "repeat": 1,
+    "learner": "ppo",
     "refine": False,
     "ppo": {"updates": 4, "worlds": 8, "steps": 4, "minibatches": 2, "epochs": 1},
 }
@@ -26,9 +27,10 @@ TINY = {
     "policy": {"kind": "central", "hidden": [8, 8]},
     "base": _STAGE,
     "auxiliary": _STAGE,
-    "discovery": {"sigma": 8, "episodes": 8, "chunk": 2, "max_policies": 2, "required_valid": 0.5},
+    "discovery": {"sigma": 8, "episodes": 8, "chunk": 2, "min_policies": 2, "max_policies": 2, "required_valid": 0.5},
     # Whatever was learned, robots that hardly learned stand still, and the swarm comes to rest at once.
-    "rest": {"max_steps": 20, "switch_tolerance": 0.05, "dead_zone": 0.3},
+    "rest": {"max_steps": 20, "switch_tolerance": 0.05, "dead_zone": 0.3, "damping": 0.0, "sidestep": 0.0},
+    "shield": {"use": "none"},
 }
 
 

@@ -29,8 +29,9 @@ WRITTEN_BY_PROGRAMS = {"results.md", "point.md", "hard.md", "discoveries.md", "r
 WRITTEN_BY_PROGRAMS |= {page for page in PAGES if page.startswith("comparison/")}
 BY_HAND = [page for page in PAGES if page not in WRITTEN_BY_PROGRAMS]
 
-_NUMBERS = "--{0}.ppo.updates 2 --{0}.ppo.steps 4 --{0}.ppo.worlds 8 --{0}.ppo.minibatches 2"
-TINY = " ".join(_NUMBERS.format(stage) for stage in ("base", "auxiliary")).split()
+_NUMBERS = "--{0}.updates 2 --{0}.steps 4 --{0}.worlds 8 --{0}.minibatches 2"
+_LEARNERS = [f"{stage}.{learner}" for stage in ("base", "auxiliary") for learner in ("ppo", "gradients")]
+TINY = " ".join(map(_NUMBERS.format, _LEARNERS)).split()
 TINY += [
     "--discovery.sigma",
     "8",

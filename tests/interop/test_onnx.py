@@ -32,7 +32,15 @@ ROBOTS = 5
 STATES = 1000
 CHECKED = 100
 """Configurations on which models are compared with their runs: the same number everywhere is compiled once."""
-REST = {"max_steps": 15, "window": 3, "switch_tolerance": 0.004, "stillness": 0.1, "dead_zone": 0.02}
+REST = {
+    "max_steps": 15,
+    "window": 3,
+    "switch_tolerance": 0.004,
+    "stillness": 0.1,
+    "dead_zone": 0.02,
+    "damping": 0.0,
+    "sidestep": 0.0,
+}
 """So that some policies come to rest and others are cut off."""
 
 pytestmark = [
@@ -45,7 +53,12 @@ def untrained(kind, policies=2, objective="C2", seed=0, factor=1, walls=False):
     """A run whose policies nobody trained, but which do move, faster by a factor."""
     world = {"robots": ROBOTS, "half_width": 30.0, "half_height": 25.0, "scan_radius": 100.0}
     local = {"walls": walls, "gaps": walls} if kind == "local" else {}
-    hidden = {"policy": {"use": kind, "hidden": [12, 8], **local}, "rest": REST, "seed": seed}
+    hidden = {
+        "policy": {"use": kind, "hidden": [12, 8], **local},
+        "rest": REST,
+        "shield": {"use": "none"},
+        "seed": seed,
+    }
     eyes = {"sensing": {"use": "visible", "rotation": True, "walls": walls}} if kind == "local" else {}
     config = presets.resolve("F", {"objective": objective, "world": world, "start": {"use": "random"}}, hidden, eyes)
     chosen = [build_networks(config, draw_key(config, index, "networks"))[0] for index in range(policies)]
@@ -123,6 +136,26 @@ def test_a_cascade_changes_over_and_rests_as_ours_does_in_swarms_of_any_size(equ
     np.testing.assert_array_equal((charges < 2).sum(axis=1)[whole], trajectories.lengths[whole])
     assert len(set(trajectories.switch[whole, 0])) > 2
     assert trajectories.at_rest[whole].any()
+
+
+@pytest.mark.parametrize("robots", [ROBOTS, ROBOTS + 2])
+def test_a_cascade_steps_aside_and_is_shielded_as_ours_is(robots):
+    run = untrained("equivariant", policies=1, factor=10)
+    rest = replace(run.experiment.rest, damping=0.2, sidestep=0.9)
+    run = run.under(replace(run.experiment, rest=rest, shield=ClearanceShield()))
+    model = onnx.export(run)
+    run = run.of_size(robots)
+    starts = run.starts(24, 3)
+    # In line, nobody sees past a neighbour, and robots that hardly want to move step aside.
+    starts[:8] = np.linspace(2.5, 5.0, 8)[:, None, None] * np.stack([np.arange(robots), np.zeros(robots)], axis=1)
+    trajectories = run.rollout(starts)
+    positions, _ = loop(model.session(), starts, most=20)
+    moved = np.linalg.norm(np.diff(positions[:8], axis=1), axis=-1)
+    assert np.isclose(moved, 0.9, atol=1e-4).any()
+    assert trajectories.interventions.sum() > 0
+    for episode, length in enumerate(np.minimum(trajectories.lengths, 20)):
+        expected = trajectories.positions[episode, : length + 1]
+        np.testing.assert_allclose(positions[episode, : length + 1], expected, atol=1e-3)
 
 
 def test_a_central_cascade_has_a_dynamic_batch_and_its_own_number_of_robots():

@@ -16,7 +16,7 @@ def names(plan):
 
 def test_a_full_report_has_every_experiment_with_both_policies():
     plan = make_plan(seed=3)
-    assert len(plan.runs) == 25
+    assert len(plan.runs) == 24
     for name in EXPERIMENTS:
         for learner in ("central", "equivariant"):
             run = plan.experiments[name][learner]
@@ -28,8 +28,9 @@ def test_swarm_sizes_that_are_an_experiment_are_trained_once():
     plan = make_plan()
     assert [list(runs) for runs in plan.sizes.values()] == [list(range(4, 11))] * 2
     assert plan.sizes["distributed"][10] is plan.experiments["C"]["equivariant"]
+    assert plan.sizes["scattered"][8] is plan.experiments["B"]["equivariant"]
     others = names(plan) - {run.name for runs in plan.experiments.values() for run in runs.values()}
-    assert len(others) == 13
+    assert len(others) == 12
     assert {"size4-distributed-equivariant-seed0", "size10-scattered-equivariant-seed0"} <= others
 
 
@@ -60,7 +61,7 @@ def test_a_quick_report_has_the_same_problems_and_smaller_budgets():
         for leaf in config_io.leaves(run.config):
             if before[leaf.path] != leaf.value:
                 assert leaf.path.endswith(
-                    ("ppo.updates", "ppo.worlds", "min_policies", "max_policies", "sigma", "episodes")
+                    ("ppo.updates", "ppo.worlds", "gradients.updates", "max_policies", "sigma", "episodes")
                 )
                 assert leaf.value < before[leaf.path]
 

@@ -57,48 +57,16 @@ def test_the_longest_list_of_policies_stays_within_the_budget(learner):
     assert sum(stage.learning(phase).updates * stage.steps_per_update(phase) for stage, phase in phases) <= 4_000_000
 
 
-def test_what_is_tuned_for_an_experiment_changes_nothing_else():
-    assert set(presets.EXPERIMENT_OVERRIDES) <= set(EXPERIMENTS)
-    for name, overlay in presets.EXPERIMENT_OVERRIDES.items():
-        tuned = {leaf.path: leaf.value for leaf in config_io.leaves(presets.preset(name))}
-        numbers = presets.TRAINING_PRESETS[presets.DEFAULT_LEARNER]
-        parts = {part: getattr(numbers, part) for part in ("base", "auxiliary", "discovery", "rest")}
-        untuned = replace(presets.preset(name), **parts)
-        usual = {leaf.path: leaf.value for leaf in config_io.leaves(untuned)}
-        changed = {path: value for path, value in tuned.items() if usual[path] != value}
-        assert changed == dict(flat(overlay))
-        for learner in ("central", "paper"):
-            preset, usual_numbers = presets.preset(name, learner), presets.TRAINING_PRESETS[learner]
-            assert (preset.base, preset.auxiliary) == (usual_numbers.base, usual_numbers.auxiliary)
+@pytest.mark.parametrize("learner", presets.TRAINING_PRESETS)
+def test_all_experiments_have_the_same_numbers(learner):
+    numbers = presets.TRAINING_PRESETS[learner]
+    for name in EXPERIMENTS:
+        config = presets.preset(name, learner)
+        for part in ("policy", "base", "auxiliary", "discovery", "rest", "shield"):
+            assert getattr(config, part) == getattr(numbers, part)
 
 
-def flat(overlay, path=""):
-    for name, value in overlay.items():
-        if isinstance(value, dict):
-            yield from flat(value, f"{path}{name}.")
-        else:
-            yield path + name, value
-
-
-OWN = {
-    "weights of the auxiliary policies": "auxiliary.weights.",
-    "the rule of rest": "rest.",
-    "the least number of policies": "discovery.min_policies",
-    "the cost of motion": "base.motion_cost",
-}
-
-
-def test_the_pages_say_whose_numbers_are_not_the_defaults():
-    """Which experiments have numbers of their own, and of what; and whose discount falls."""
-    page = " ".join((DOCS / "results.md").read_text(encoding="utf-8").split())
-    own = {name: [path for path, _ in flat(overlay)] for name, overlay in presets.EXPERIMENT_OVERRIDES.items()}
-    parts = []
-    for what, prefix in OWN.items():
-        names = [name for name, paths in own.items() if any(path.startswith(prefix) for path in paths)]
-        parts.append(f"{what} in {' and '.join(filter(None, [', '.join(names[:-1]), names[-1]]))}")
-    assert f"A, B, D, E and F have some numbers of their own ({', '.join(parts)})." in page
-    assert {*own} == {*"ABDEF"}
-
+def test_the_page_says_whose_discount_falls():
     page = " ".join((DOCS / "paper.md").read_text(encoding="utf-8").split())
     discounts = {
         name: (learner.base.ppo.discount, learner.auxiliary.ppo.discount)

@@ -338,6 +338,28 @@ def along_wall(side, places):
     return np.stack([places, on_wall] if side % 2 else [on_wall, places], axis=1)
 
 
+@pytest.mark.parametrize("bounded", [True, False])
+def test_robots_that_act_on_all_positions_step_aside_and_apart_in_the_common_frame(bounded):
+    """As robots with global sensing do whose frames are the world's."""
+    config = replace(CONFIG, bounded=bounded)
+    world, slow = build(config), SlowMoves(jnp.asarray(0.1), sidestep=0.9)
+    alone = DeadZone(world, slow, config)
+    seeing = DeadZone(LocalObservation(world, GlobalSensing(walls=True), config), slow, config)
+    starts = np.random.default_rng(3).uniform(-1, 1, (40, 4, 2)).astype(np.float32) * np.float32([12, 6])
+    starts[:10, :, 1] = starts[:10, :1, 1]
+    stepped = []
+    for positions in starts:
+        expected, actual = (
+            np.asarray(wrapped_step(env, env.state(jnp.asarray(positions), 7), jnp.zeros((4, 2)))[0].positions)
+            for env in (seeing, alone)
+        )
+        np.testing.assert_allclose(actual, expected, atol=1e-6)
+        stepped.append(np.linalg.norm(actual - positions, axis=1))
+    moves = np.array(stepped)
+    assert np.isclose(moves, 0.9, atol=1e-5).any(), "nobody steps aside"
+    assert ((moves > 0) & (moves < 0.89)).any(), "nobody steps apart"
+
+
 @pytest.mark.parametrize("per_robot", [False, True])
 def test_motion_costs_what_is_learned_from_and_not_what_is_recorded(per_robot):
     world = build(CONFIG, per_robot=per_robot)

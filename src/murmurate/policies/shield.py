@@ -10,11 +10,11 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from murmurate.errors import InputError, check_number
 from murmurate.registry import Strategy
-from murmurate.types import Observation
+from murmurate.types import View
 from murmurate.world.config import WorldConfig
 from murmurate.world.env import WrappedState, Wrapper
 from murmurate.world.scheduling import FsyncScheduler, Scheduler
-from murmurate.world.sensing import wall_directions
+from murmurate.world.sensing import view_of, wall_directions
 
 __all__ = [
     "ClearanceShield",
@@ -105,38 +105,23 @@ class WallShield(Shield):
             InputError: The scheduler states no longest move.
         """
         if scheduler.max_move_steps is None:
-            allowed = f"left out: the scheduler {scheduler.name} states no max_move_steps, and no share is safe"
+            allowed = f"none: the scheduler {scheduler.name} states no max_move_steps, and no share is safe"
             raise InputError("shield.use", "walls", allowed)
         return WallShield(min(self.share, ROUNDING / scheduler.max_move_steps))
 
     def __call__(self, velocities: Array, observation: Any, world: WorldConfig) -> Array:
         """Returns the velocities with their components towards near walls shortened."""
-        return _kept_inside(velocities, observation, world, self.share)
+        return _kept_inside(velocities, view_of(observation, world), world, self.share)
 
 
-def _kept_inside(velocities: Array, observation: Any, world: WorldConfig, share: Any) -> Array:
-    walls = _walls(observation, world)
-    if walls is None:
+def _kept_inside(velocities: Array, view: View, world: WorldConfig, share: Any) -> Array:
+    if view.walls is None:
         return velocities
+    walls = view.walls * (world.radius / view.radius)[:, None, None]
     # What the first time leaves of a long velocity towards a wall is rounded; the second time removes that too.
     for _ in range(2):
         velocities = limit_wall_approach(velocities, walls, share, _rounding(world))
     return velocities
-
-
-def _walls(observation: Any, world: WorldConfig) -> Float[Array, "robots 4 2 *batch"] | None:
-    """Returns the nearest point of each wall relative to each robot, world units; None where they perceive none."""
-    if isinstance(observation, Observation):
-        view = observation.view
-        return None if view.walls is None else view.walls * (world.radius / view.radius)[:, None, None]
-    if not world.bounded:
-        return None
-    x, y = observation[:, 0], observation[:, 1]
-    zero = jnp.zeros_like(x)
-    right, left = world.half_width - x, -world.half_width - x
-    upper, lower = world.half_height - y, -world.half_height - y
-    offsets = ((right, zero), (zero, upper), (left, zero), (zero, lower))
-    return jnp.stack([jnp.stack(offset, axis=1) for offset in offsets], axis=1)
 
 
 @Shield.register("clearance")
@@ -176,26 +161,21 @@ class ClearanceShield(Shield):
     def __call__(self, velocities: Array, observation: Any, world: WorldConfig) -> Array:
         """Returns the velocities, shortened where they are longer than the clearance allows."""
         share = safe_share(FsyncScheduler()) if self.share is None else self.share
-        if isinstance(observation, Observation):
-            view = observation.view
-            x, y, seen, scale = view.x, view.y, view.seen, (world.radius / view.radius)[:, None]
-        else:
-            offsets = observation[None] - observation[:, None]
-            x, y, scale = offsets[:, :, 0], offsets[:, :, 1], 1.0
-            seen = ~jnp.eye(len(observation), dtype=bool).reshape(x.shape[:2] + (1,) * (x.ndim - 2))
+        view = view_of(observation, world)
+        x, y, scale = view.x, view.y, (world.radius / view.radius)[:, None]
         length, speed = _length(x, y), _length(velocities[:, 0], velocities[:, 1])
         # Who approaches a robot leaves it some room. Otherwise two who approach each other would halve their clearance
         # until it is as good as none, and none of it lets them go.
         forward = velocities[:, :1] * x + velocities[:, 1:] * y
         size = length * speed[:, None]
         approach = jnp.where(size > 0, jnp.maximum(forward, 0.0) / jnp.where(size > 0, size, 1.0), 0.0)
-        distance = jnp.where(seen, length * scale - ROOM * world.radius * approach, jnp.inf)
+        distance = jnp.where(view.seen, length * scale - ROOM * world.radius * approach, jnp.inf)
         # A robot that perceives nobody knows that nobody is within the scan radius.
         far = jnp.full_like(velocities[:, :1, ...], world.scan_radius)
         nearest = jnp.min(jnp.concatenate([distance, far], axis=1), axis=1)
         limit = share * jnp.maximum(nearest - 2 * world.radius - _rounding(world), 0.0)
         shortened = velocities * jnp.where(speed > limit, limit / jnp.where(speed > limit, speed, 1.0), 1.0)[:, None]
-        return _kept_inside(shortened, observation, world, share)
+        return _kept_inside(shortened, view, world, share)
 
 
 ROUNDING = 0.98
@@ -218,7 +198,7 @@ def safe_share(scheduler: Scheduler) -> float:
     """
     delay, steps = scheduler.max_delay, scheduler.max_move_steps
     if delay is None or steps is None:
-        allowed = f"left out: the scheduler {scheduler.name} states no max_delay and max_move_steps, and none is safe"
+        allowed = f"none: the scheduler {scheduler.name} states no max_delay and max_move_steps, and no share is safe"
         raise InputError("shield.use", "clearance", allowed)
     low, high = 0.0, 0.5
     if delay + steps > 1:

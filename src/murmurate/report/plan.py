@@ -30,14 +30,14 @@ _QUICK_SIZES = (6, 8, 10)
 
 @dataclass(frozen=True)
 class _Budget:
-    """How much a quick report trains: updates of the base and of each auxiliary policy, and parallel episodes."""
+    """How much a quick report trains: updates by PPO, in so many parallel episodes, and by gradients."""
 
-    base: int
-    auxiliary: int
+    ppo: int
     worlds: int
+    gradients: int = 0
 
 
-_QUICK = {"equivariant": _Budget(30, 20, worlds=64), "central": _Budget(60, 60, worlds=128)}
+_QUICK = {"equivariant": _Budget(30, worlds=64, gradients=150), "central": _Budget(60, worlds=128)}
 
 
 @dataclass(frozen=True)
@@ -144,14 +144,11 @@ def _quickened(config: ExperimentConfig, learner: str) -> ExperimentConfig:
     """Reduces the budgets of an experiment, and nothing else of it."""
     budget = _QUICK[learner]
 
-    def stage(like: StageConfig, updates: int) -> StageConfig:
-        return replace(like, ppo=replace(like.ppo, updates=updates, worlds=budget.worlds))
+    def stage(like: StageConfig) -> StageConfig:
+        gradients = replace(like.gradients, updates=budget.gradients or like.gradients.updates)
+        return replace(like, ppo=replace(like.ppo, updates=budget.ppo, worlds=budget.worlds), gradients=gradients)
 
     # As many episodes everywhere as the evaluation has: a cascade is then compiled once for each length of its list.
-    discovery = replace(config.discovery, min_policies=2, max_policies=2, sigma=EPISODES, episodes=EPISODES)
-    return replace(
-        config,
-        base=stage(config.base, budget.base),
-        auxiliary=stage(config.auxiliary, budget.auxiliary),
-        discovery=discovery,
-    )
+    fewest = config.discovery.min_policies
+    discovery = replace(config.discovery, max_policies=fewest, sigma=EPISODES, episodes=EPISODES)
+    return replace(config, base=stage(config.base), auxiliary=stage(config.auxiliary), discovery=discovery)

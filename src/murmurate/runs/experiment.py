@@ -108,9 +108,6 @@ class ExperimentConfig(Problem):
         if self.slow_moves.least_speed >= room:
             allowed = f"less than {room / world.max_speed:.4g}: a robot could not correct its way to the safe distance"
             raise InputError("rest.dead_zone", self.rest.dead_zone, allowed)
-        if self.rest.sidestep and not self.policy.perceives:
-            allowed = f"0: robots with the policy {self.policy.name} act on all positions, and have no frames"
-            raise InputError("rest.sidestep", self.rest.sidestep, allowed)
 
     def _check_sensing(self) -> None:
         """Refuses sensing that the policy does not use, or that cannot serve the objective."""

@@ -11,8 +11,8 @@ from typing import Any, cast
 from murmurate.discovery import DiscoveryConfig, RestRule, StageConfig
 from murmurate.discovery.problem import GATHERING, GATHERING_SIGNALS
 from murmurate.errors import check_choice
-from murmurate.learning import PPOConfig
-from murmurate.policies import CentralPolicy, EquivariantPolicy, LocalPolicy, NoShield, Policy, Shield
+from murmurate.learning import GradientConfig, PPOConfig
+from murmurate.policies import CentralPolicy, ClearanceShield, EquivariantPolicy, LocalPolicy, NoShield, Policy, Shield
 from murmurate.runs import config_io
 from murmurate.runs.experiment import ExperimentConfig, make_importer, read_toml
 from murmurate.runs.paper import EXPERIMENTS, NOISE, PaperExperiment, check_experiment
@@ -20,7 +20,6 @@ from murmurate.world import OBJECTIVES, ScatteredStart, Start, WorldConfig
 
 __all__ = [
     "DEFAULT_LEARNER",
-    "EXPERIMENT_OVERRIDES",
     "TRAINING_PRESETS",
     "TrainingPreset",
     "command",
@@ -51,28 +50,45 @@ class TrainingPreset:
     shield: Shield = field(default_factory=NoShield)
 
 
-# Each action is kept up for some steps while learning: exploration then moves robots instead of jittering them, without
-# which most searches end with a robot stuck inside the ring (try --base.repeat 1 --auxiliary.repeat 1). And exploration
-# fades: left to itself it stays, because noise frees a stuck robot, and the policy never learns to do so without it
-# (try --auxiliary.ppo.exploration learned). Motion costs a little, because otherwise a ring may turn for ever: no
-# signal changes, and its robots never come to rest (try --base.motion_cost 0 --auxiliary.motion_cost 0 with --seed 1).
+# PPO finds the way, gradients make it short: alone, the first settles slowly and wide, and the second never frees a
+# robot inside the ring. Robots come to rest about as much beyond the safe distance as the margins say. Motion costs a
+# little in either phase, because otherwise a ring may turn for ever: no signal changes, and its robots never come to
+# rest. It costs more here, where every step costs what it lacks to the best pattern; with a tenth, patterns creep.
+_REFINEMENT = GradientConfig(
+    average=100,
+    weights={"gathering": 1.0, "smooth_safety": 20.0, "smooth_visible": 10.0, "exposed": 2.0},
+    margins={"smooth_safety": 0.02, "smooth_visible": 0.02},
+    motion_cost=0.3,
+)
+
+# Each action is kept up for some steps while PPO learns: exploration then moves robots instead of jittering them,
+# without which most searches end with a robot stuck inside the ring (try --base.repeat 1). And exploration fades: left
+# to itself it stays, because noise frees a stuck robot, and the policy never learns to do so without it (try
+# --base.ppo.exploration learned).
 _EQUIVARIANT = TrainingPreset(
-    policy=EquivariantPolicy(hidden=(32, 16)),
+    policy=EquivariantPolicy(hidden=(32, 16), whole_square=True),
     base=StageConfig(
         ppo=PPOConfig(updates=60, policy_rate=2e-3, exploration="scheduled", log_std=-1.0, log_std_end=-2.5),
         weights={"gathering": 3.0, "visible": 2.0},
-        horizon=160,
+        refine=True,
+        gradients=_REFINEMENT,
+        horizon=100,
         repeat=4,
         motion_cost=0.02,
     ),
     auxiliary=StageConfig(
         ppo=PPOConfig(updates=60, exploration="scheduled", log_std=-0.7, log_std_end=-3.5),
         weights={"gathering": 2.0, "safety": 3.0, "neighbors": 2.0, "visible": 4.0},
-        horizon=120,
+        learner="gradients",
+        gradients=_REFINEMENT,
+        horizon=100,
         repeat=2,
         motion_cost=0.03,
         warm_start=True,
     ),
+    discovery=DiscoveryConfig(min_policies=1, max_policies=2),
+    rest=RestRule(dead_zone=0.15, damping=0.2, sidestep=1.0),
+    shield=ClearanceShield(),
 )
 
 # The paper's method, with measured numbers. What serves the other learner (fading exploration, credit robot by robot,
@@ -124,31 +140,6 @@ TRAINING_PRESETS = {"equivariant": _EQUIVARIANT, "central": _CENTRAL, "local": _
 
 DEFAULT_LEARNER = "equivariant"
 
-_NEARER: dict[str, Any] = {"auxiliary": {"weights": {"gathering": 24.0}}}
-EXPERIMENT_OVERRIDES: dict[str, dict[str, Any]] = {
-    "A": {
-        "auxiliary": {"weights": {"gathering": 8.0, "safety": 8.0, "visible": 8.0}},
-        "discovery": {"min_policies": 3},
-        "rest": {"switch_tolerance": 3e-3},
-    },
-    "B": _NEARER,
-    "D": {"base": {"motion_cost": 0.005}, "auxiliary": {"motion_cost": 0.01}},
-    "E": _NEARER,
-    "F": _NEARER,
-}
-"""What the equivariant learner has of its own for some experiments.
-
-Where auxiliary policies weigh gathering more, patterns end nearer to the best known: within 0.7, 0.4 and 0.5 percent of
-it, means of three seeds, instead of 1.2, 0.9 and 1.9 (B, E, F). A and C lose patterns by so much: 139 and 192 of 200
-are valid then.
-
-In A and D six slow robots begin near the place where they gather, and the way is hardly longer than settling: in A an
-early change from the base policy to the next saves steps. A's third policy brings the last of its patterns to the
-origin. In D, robots for which motion costs as much as elsewhere stop where they do not see each other yet: 145 of 200
-are valid then (seed 0), instead of 200. (All of these were measured before sums over robots became loops of the
-program; docs/results.md has what is valid since.)
-"""
-
 
 def preset(name: str, learner: str = DEFAULT_LEARNER, objective: str | None = None) -> ExperimentConfig:
     """Returns one of the paper's experiments.
@@ -164,8 +155,7 @@ def preset(name: str, learner: str = DEFAULT_LEARNER, objective: str | None = No
     check_choice("experiment", name, tuple(EXPERIMENTS))
     row = EXPERIMENTS[name]
     start = cast(Start, Start.registered()[row.start](noise=NOISE))  # type: ignore[call-arg]
-    config = _experiment(name, objective or row.objective, row.world, start, learner)
-    return config_io.replaced(config, EXPERIMENT_OVERRIDES.get(name, {})) if learner == DEFAULT_LEARNER else config
+    return _experiment(name, objective or row.objective, row.world, start, learner)
 
 
 def resolve(
@@ -206,6 +196,8 @@ def resolve(
     else:
         data.setdefault("name", Path(experiment).stem)
         base = _experiment("unnamed", given or "C1", WorldConfig(), ScatteredStart(), chosen)
+    if data.get("signals"):
+        base = _unrefined(base)
     if objective == "custom":
         base = _weighing(base, data.get("signals"))
     return config_io.replaced(base, data, importer=importer)
@@ -257,6 +249,15 @@ def _experiment(name: str, objective: Any, world: WorldConfig, start: Start, lea
         shield=numbers.shield,
         seed=0,
     )
+
+
+def _unrefined(config: ExperimentConfig) -> ExperimentConfig:
+    """Returns a preset without refinement by gradients, which would know nothing of signals of one's own."""
+    if not config.base.refine:
+        return config
+    base, auxiliary = replace(config.base, refine=False), replace(config.auxiliary, learner="ppo")
+    discovery = replace(config.discovery, min_policies=2, max_policies=3)
+    return replace(config, base=base, auxiliary=auxiliary, discovery=discovery)
 
 
 def _weighing(config: ExperimentConfig, signals: Any) -> ExperimentConfig:

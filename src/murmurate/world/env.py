@@ -22,7 +22,7 @@ from murmurate.types import Observation, Transition, View
 from murmurate.world.config import WorldConfig
 from murmurate.world.randomness import draw_each, episode_keys, key_data, next_keys, wrap_keys
 from murmurate.world.scheduling import Activation, Clock, Scheduler
-from murmurate.world.sensing import Frames, Sensing, wall_directions
+from murmurate.world.sensing import Frames, Sensing, view_of, wall_directions
 from murmurate.world.signals import Configuration, Objective, Signal, objective_signals
 from murmurate.world.starts import Start
 from murmurate.world.tiles import in_tiles
@@ -427,7 +427,7 @@ def apply_dead_zone(
 
     Args:
         velocities: What a policy wants, world units per step, in each robot's own frame.
-        observation: What the robots see; only used with `sidestep`.
+        observation: What the policy acts on: what the robots see, or all positions; only used with `sidestep`.
         slow: What becomes of slow moves.
         world: The sizes by which robots perceive; only used with `sidestep`.
     """
@@ -439,7 +439,7 @@ def apply_dead_zone(
         decided = velocities * (1 - slow.damping * jnp.maximum(1 - speed / slow.damped_speed, 0.0))
     decided = jnp.where(is_slow, 0.0, decided)
     if slow.sidestep:
-        view = observation.view
+        view = view_of(observation, world)
         is_between = _batch_last.stands_between(view.x, view.y, view.seen, view.radius)[:, None]
         stepped = jnp.where(is_between, _step_aside(view, slow, world), _step_apart(view, slow, world))
         decided = jnp.where(is_slow, stepped, decided)

@@ -19,13 +19,13 @@ from murmurate import prng
 from murmurate.errors import InputError, check_number
 from murmurate.registry import Strategy
 from murmurate.representation import short_repr
-from murmurate.types import View
+from murmurate.types import Observation, View
 from murmurate.world.config import WorldConfig
 from murmurate.world.randomness import draw_each
 from murmurate.world.signals import Configuration
 from murmurate.world.tiles import in_tiles
 
-__all__ = ["Frames", "GlobalSensing", "ScanSensing", "Sensing", "VisibleSensing"]
+__all__ = ["Frames", "GlobalSensing", "ScanSensing", "Sensing", "VisibleSensing", "view_of"]
 
 MAX_UNIT_RATIO = 1000.0
 
@@ -152,11 +152,8 @@ class Sensing(Strategy):
     def _view(
         self, world: WorldConfig, positions: Float[Array, "robots 2 *batch"], frames: Frames, keys: Key[Array, "*batch"]
     ) -> View:
-        robots = positions.shape[0]
-        dx = positions[None, :, 0] - positions[:, None, 0]
-        dy = positions[None, :, 1] - positions[:, None, 1]
-        others = ~jnp.eye(robots, dtype=bool).reshape((robots, robots) + (1,) * (positions.ndim - 2))
-        seen = jnp.broadcast_to(others & self.perceived(Configuration(positions, world)), dx.shape)
+        dx, dy, others = _offsets(positions)
+        seen = others & self.perceived(Configuration(positions, world))
         dx, dy, seen = self._with_noise(dx, dy, seen, keys)
         x, y = frames.to_local(dx, dy)
         landmark_x, landmark_y = frames.to_local(-positions[:, 0], -positions[:, 1])
@@ -218,6 +215,34 @@ class VisibleSensing(Sensing):
     def perceived(self, configuration: Configuration) -> Bool[Array, "robots robots *batch"]:
         """Returns the visible neighbours."""
         return configuration.visible
+
+
+def view_of(observation: Any, world: WorldConfig) -> View:
+    """Returns what every robot perceives.
+
+    Robots that act on all positions perceive all others and the walls, in the world's frame and unit.
+
+    Args:
+        observation: What a policy acts on: an `Observation`, or the positions of all robots, world units.
+        world: Sizes of the world and its robots.
+    """
+    if isinstance(observation, Observation):
+        return observation.view
+    dx, dy, others = _offsets(observation)
+    x, y = observation[:, 0], observation[:, 1]
+    one, zero = jnp.ones_like(x), jnp.zeros_like(x)
+    frames = Frames(one, zero, one, one)
+    walls = nearest_wall_points(observation, frames, world, sees_far=True) if world.bounded else None
+    return View(dx, dy, others, world.radius * one, -x, -y, walls)
+
+
+def _offsets(positions: Float[Array, "robots 2 *batch"]) -> tuple[Array, Array, Array]:
+    """Returns the way from each robot to each other along the axes, and which pairs are of two robots."""
+    robots = positions.shape[0]
+    dx = positions[None, :, 0] - positions[:, None, 0]
+    dy = positions[None, :, 1] - positions[:, None, 1]
+    others = ~jnp.eye(robots, dtype=bool).reshape((robots, robots) + (1,) * (positions.ndim - 2))
+    return dx, dy, jnp.broadcast_to(others, dx.shape)
 
 
 def nearest_wall_points(
