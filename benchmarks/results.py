@@ -115,6 +115,7 @@ def write(runs: list[Path], out: Path, commands: str) -> None:
         results=results(rows),
         others=table.as_markdown(("", *OTHER_STARTS, NOISY), others),
         commands=commands,
+        seeds=", ".join(dict.fromkeys(row[table.RESULTS.index("seed")] for row in rows)),
     )
     path = out / "results.md"
     # What `murmurate compare --into` put there stays.
@@ -134,15 +135,15 @@ What was measured, and the command that measures it again.
 
 ## The paper's experiments
 
-Made by {commands}, which trains experiments A to F with seeds 0, 1, 2
-(finished runs are reused) and writes this page. `make results` trains both policies.
+Made by {commands}, which trains experiments A to F with seeds {seeds}
+(finished runs are reused) and writes this page. `make results` trains both policies with seeds 0 to 4.
 Versions: {machine}.
 
 Every row is one training with the settings of `murmurate discover` for that experiment and policy, evaluated on 200
-fresh starts with the paper's noise $U(-2R, 2R)$; none of them was seen in training. The `equivariant` policy has one
-set of defaults, which C is trained with as they are; A, B, D, E and F have some numbers of their own (weights of the
-auxiliary policies in A, B, E and F, the rule of rest in A, the least number of policies in A, the cost of motion in D).
-They are `EXPERIMENT_OVERRIDES` in `runs/presets.py`. The `central` policy has the same numbers in all six.
+fresh starts with the paper's noise $U(-2R, 2R)$; none of them was seen in training. Each policy has one set of numbers
+for all six experiments (`runs/presets.py`). With `equivariant`, PPO discovers the base policy and gradients
+[refine](discovery.md#refinement-by-gradients) it; an auxiliary policy is trained only where fewer than 99.5% of 256
+fresh patterns are valid.
 
 - *Valid*, of 200: no contact at any moment, nobody outside, at rest, all robots neighbours, all pairs mutually visible,
   no pair nearer than the safe distance, and all of that for 200 more steps with nothing frozen.
@@ -153,31 +154,23 @@ They are `EXPERIMENT_OVERRIDES` in `runs/presets.py`. The `central` policy has t
 - In row E of its table, the paper prints a total that is not the sum of its parts: 1168.83 printed, 745.27 summed.
 - Training seconds are those of these runs, on one core that other work shared.
 
-**Where valid is far below 200**, most swarms form a pattern and do not stop, or do not stay. In C with seed 1 all rings
-turn as a whole, at 0.12 of the speed limit, where less than 0.1 would be rest. No signal changes then, and motion costs
-too little in training to stop it: with `--auxiliary.motion_cost 0.06`, twice the default, C with seed 1 is valid in 186
-and F with seed 0 in 200. (The other trainings were not tried with that.)
-
 **Your digits will differ.** Sums in floating point depend on the processor and on the number of threads, and training
-amplifies that. Compare ranges over seeds, not single numbers. All runs here were pinned to one core (`taskset -c 1`).
-With two threads, C with seed 0 (`make discover`) was valid in 200 of 200, took 129.8 steps and had a gap of 0.71%.
+amplifies that. Compare ranges over seeds, not single numbers. All runs here were pinned to one core each.
 
 The [report](reproduction/report.md) that `murmurate reproduce --out docs/reproduction` writes shows the rows of seed 0
-beside the paper's tables and figures. It is older than today's rule of rest.
+beside the paper's tables and figures. It is older than the refinement and today's rule of rest.
 
 {results}
 ![The patterns that the equivariant policy found in experiments A to F](figures/patterns.png)
 
-The colour of a path is that of the active policy: blue for the base policy, green for the auxiliary one, pink for a
-third.
+The colour of a path is that of the active policy: blue for the base policy, green for the auxiliary one.
 
 ## Other starts
 
 The equivariant runs of seed 0, 200 starts for each cell: valid of 200, (episodes with a contact or an exit), steps over
 bound. The column of an experiment's own start repeats the table above with other random numbers; the other layouts
 were never trained on. About half of the base policy's training begins anywhere, but mostly more crowded than here. The
-equivariant policy does not know where it is, so it does not know the walls: from a corner, a swarm that is nearer than
-its safe distance may leave the world. The other failures have one robot that stays inside, in line with two others.
+last column has the experiment's own start with twice the paper's noise.
 
 {others}
 ![Experiment C: start, base pattern, final pattern, training, one episode](figures/discovery-C.png)

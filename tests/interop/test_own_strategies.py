@@ -173,7 +173,15 @@ class Opaque(Signal):
 
 def run_of(policies=1, **fields):
     sizes = {"robots": ROBOTS, "half_width": 12.0, "half_height": 10.0, "scan_radius": 100.0}
-    rest = {"max_steps": 15, "window": 3, "switch_tolerance": 0.02, "stillness": 0.1, "dead_zone": 0.0}
+    rest = {
+        "max_steps": 15,
+        "window": 3,
+        "switch_tolerance": 0.02,
+        "stillness": 0.1,
+        "dead_zone": 0.0,
+        "damping": 0.0,
+        "sidestep": 0.0,
+    }
     config = presets.resolve("F", {"objective": "C2", "world": sizes, "rest": rest, "start": "random"}, fields)
     networks = [build_networks(config, draw_key(config, index, "networks"))[0] for index in range(policies)]
     return Run(Path("untrained"), config, build_cascade(config, networks), {})

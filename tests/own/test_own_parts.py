@@ -26,7 +26,7 @@ from tiny import TINY, tiny
 HERE = Path(__file__).parent
 POLICIES = ("0-base.safetensors", "1-auxiliary.safetensors")
 ONE_POLICY = {"min_policies": 1, "max_policies": 1}
-MOVING = {"dead_zone": 0.0}
+MOVING = {"dead_zone": 0.0, "damping": 0.0, "sidestep": 0.0}
 
 
 @pytest.fixture(scope="module")

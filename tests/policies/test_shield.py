@@ -340,7 +340,7 @@ class Endless(Scheduler):
 
 def test_what_cannot_be_served_is_refused():
     with pytest.raises(
-        InputError, match=r"scheduler .*Endless states no max_delay and max_move_steps, and none is safe"
+        InputError, match=r"scheduler .*Endless states no max_delay and max_move_steps, and no share is safe"
     ):
         ClearanceShield().prepare(Endless())
     with pytest.raises(InputError, match=r"^shield.use = 'walls': .*Endless states no max_move_steps, and no share"):

@@ -154,7 +154,10 @@ def test_an_objective_of_one_s_own_signals_alone(tmp_path, policy, from_file):
     for index in range(2):
         assert config.weights(index) == {"near": 0.5, "visible": usual.weights(index)["visible"]}
     assert config.objective_signals.keys() == {"near", "visible"}
-    assert replace(config.base, weights=usual.base.weights) == usual.base
+    assert replace(config.base, weights=usual.base.weights, refine=usual.base.refine) == usual.base
+    # The refinement would know nothing of the signals of one's own.
+    assert [config.stage(index).learners for index in range(2)] == [("ppo",), ("ppo",)]
+    assert config.discovery.min_policies == 2
     own = presets.resolve(word, data, {"auxiliary": {"weights": {"near": 3.0}}})
     assert own.weights(1)["near"] == 3.0
     gathered = presets.resolve(word, data, {"signals": {"close": {}}})
