@@ -45,7 +45,8 @@ def test_numbers_are_ranges_over_the_seeds_of_the_results() -> None:
     columns = {"valid of 200": "valid", "steps": "total steps", "bound": "bound", "gap": "gap"}
     for row in rows:
         seeds = [result for result in results if result[""] == row[""]]
-        assert [result["seed"] for result in seeds] == ["0", "1", "2"]
+        assert len(seeds) >= 2
+        assert [result["seed"] for result in seeds] == [str(seed) for seed in range(len(seeds))]
         for name, column in columns.items():
             least, *_, most = sorted((result[column].removesuffix("%") for result in seeds), key=float)
             expected = least if least == most else f"{least}-{most}"

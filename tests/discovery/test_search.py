@@ -264,6 +264,19 @@ def test_the_list_is_complete_when_patterns_are_valid(least, share, policies):
     assert ended.valid == share
 
 
+@pytest.mark.parametrize(("least", "shares", "policies"), [(1, (0.8, 0.5), 1), (1, (0.5, 0.8), 2), (2, (0.8, 0.5), 2)])
+def test_a_last_policy_that_makes_patterns_worse_is_left_out(least, shares, policies):
+    class Worse(Search):
+        def validity(self, policies, index):
+            return shares[index]
+
+    numbers = replace(PROBLEM.discovery, min_policies=least, max_policies=2)
+    discovery = Worse(replace(PROBLEM, discovery=numbers))
+    ended = finish(discovery, discovery.begin())
+    assert (len(ended.policies), ended.valid) == (policies, shares[policies - 1])
+    assert ended.train is None
+
+
 def test_nothing_follows_when_every_episode_ends_in_contact(handmade_policies):
     """Sigma is empty: the search ends without a valid pattern, and says so."""
     # From anywhere, a tight swarm may drift towards the origin without a change of its objective: that is rest.

@@ -161,7 +161,10 @@ class Search:
         return float(sharding.broadcast(np.concatenate(valid)).mean())
 
     def conclude(self, snapshot: Snapshot, policy: Any) -> Snapshot:
-        """Appends a trained policy, evaluates from sigma, and decides whether the list is complete."""
+        """Appends a trained policy, evaluates from sigma, and decides whether the list is complete.
+
+        The last policy of a list that stays incomplete is left out again where fewer patterns are valid with it.
+        """
         config, index = self.problem.discovery, len(snapshot.policies)
         if len(self.problem.sizes) > FEW_SIZES:
             # A process may map only so many pieces of code (65,530 on Linux), and programs for ten sizes are most.
@@ -176,6 +179,8 @@ class Search:
         valid = self.validity(policies, index)
         complete = len(policies) >= config.min_policies and valid >= config.required_valid
         finished = complete or len(policies) == config.max_policies or len(alive) == 0
+        if finished and not complete and index >= config.min_policies and valid < snapshot.valid:
+            return replace(snapshot, train=None, unrefined=None, finished=True)
         sigma = repeat_to(alive, config.sigma) if len(alive) else jnp.asarray(alive)
         return Snapshot(policies=policies, sigma=sigma, valid=valid, train=None, finished=finished)
 

@@ -105,13 +105,13 @@ class Recording:
             RunError: The folder or one of its files is missing or damaged, or names modules and is not trusted.
         """
         folder = RunFolder(run)
-        folder.verify()
+        kept = len(folder.verify()["policies"])
         config, summary, rows = folder.experiment(trust), folder.evaluation(), folder.metrics()
         if rows and rows[0]["signals"].keys() != {*config.signal_names}:
             names = ", ".join(rows[0]["signals"])
             raise RunError(f"{folder.path} has metrics that are not of its experiment: of the signals {names}")
         starts = "" if is_fresh(summary) else describe_starts(summary)
-        return cls(config, folder.trajectories(config), _curves(rows), starts)
+        return cls(config, folder.trajectories(config), _curves(row for row in rows if row["policy"] < kept), starts)
 
     def __post_init__(self) -> None:
         check_type("experiment", self.experiment, ExperimentConfig, "an experiment, such as run.experiment")
@@ -190,7 +190,7 @@ def check_recording(recording: object) -> None:
 
 
 def _curves(rows: Iterable[Mapping[str, Any]]) -> list[TrainingCurve]:
-    """Returns the training curves of the rows of metrics.jsonl, one for each policy."""
+    """Returns the training curves of rows of metrics.jsonl, one for each policy."""
     by_policy: dict[int, list[Mapping[str, Any]]] = {}
     for row in rows:
         by_policy.setdefault(row["policy"], []).append(row)

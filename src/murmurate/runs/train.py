@@ -416,7 +416,8 @@ def _write_results(training: _Training, evaluation: Evaluation) -> dict[str, Any
             **({} if origin is None else {"initial": origin}),
             # Without sigma no later policy could be trained: every episode ended in contact or outside the world.
             "valid_pattern": len(snapshot.sigma) > 0 and bool(evaluation.validity.valid.any()),
-            "environment_steps": training.environment_steps(len(snapshot.policies)),
+            # Those of a last policy that was left out again, too.
+            "environment_steps": int(folder.metrics()[-1]["environment_steps"]),
             "train_seconds": round(training.checkpoint.seconds, 3),
         },
         policies=len(snapshot.policies),
