@@ -251,8 +251,8 @@ def test_a_refinement_keeps_margins_and_costs_of_its_own():
             InputError, match=rf"base\.gradients\.margins\.{name} .*exposed, smooth_safety, smooth_visible"
         ):
             replace(REFINED, base=wrong).refinement(0)
-    with pytest.raises(InputError, match=r"refine .*which refines already"):
-        StageConfig(learner="gradients", refine=True)
+    alone = StageConfig(learner="gradients", refine=True)
+    assert (alone.learners, REFINED.base.learners) == (("gradients",), ("ppo", "gradients"))
 
 
 @pytest.mark.parametrize(("least", "share", "policies"), [(1, 1.0, 1), (2, 1.0, 2), (1, 0.994, 3)])

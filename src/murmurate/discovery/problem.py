@@ -47,7 +47,8 @@ class StageConfig:
         weights: Weights of the signals in this policy's reward, by name; gathering stands for close (C1) or nclose
             (C2).
         learner: ppo, which discovers, or gradients, which refines what `--from` or `warm_start` begins with.
-        refine: Whether gradients refine the policy that ppo has discovered, from the same starts.
+        refine: Whether gradients refine the policy that ppo has discovered, from the same starts; with the learner
+            gradients it changes nothing.
         ppo: Numbers of the learner ppo; its discount is the paper's F_gamma at this policy.
         gradients: Numbers of the learner gradients; it has weights, margins and a cost of motion of its own.
         horizon: Steps after which a training episode is truncated.
@@ -93,8 +94,6 @@ class StageConfig:
         for name, weight in self.weights.items():
             check_number(f"weights.{name}", weight, 0, MAX_MAGNITUDE)
         check_choice("learner", self.learner, tuple(LEARNERS))
-        if self.refine and LEARNERS[self.learner].needs_gradients:
-            raise InputError("refine", self.refine, f"false with the learner {self.learner}, which refines already")
         for name in ("horizon", "repeat"):
             check_number(name, getattr(self, name), 1, MAX_INTEGER, integer=True)
         check_number("noise", self.noise, 0, MAX_MAGNITUDE)
@@ -109,7 +108,7 @@ class StageConfig:
     @property
     def learners(self) -> tuple[str, ...]:
         """The learners that train the policy, one after the other: its phases."""
-        return (self.learner, "gradients") if self.refine else (self.learner,)
+        return (self.learner, "gradients") if self.refine and self.learner != "gradients" else (self.learner,)
 
     def learning(self, phase: int) -> LearnerConfig:
         """Returns the numbers of the learner of a phase."""

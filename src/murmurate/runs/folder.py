@@ -433,7 +433,7 @@ class RunFolder:
         finished, training = notes.flag("finished"), notes.flag("training")
         # Older versions had no refinement.
         refining = "refining" in notes.values and notes.flag("refining")
-        if refining and not search.problem.stage(count).refine:
+        if refining and len(search.problem.stage(count).learners) == 1:
             notes.refuse("refining")
         shape = (notes.integer("sigma", MAX_INTEGER), search.problem.world.robots, 2)
         policies = policy_templates(search.problem, count)
