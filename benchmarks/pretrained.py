@@ -18,6 +18,7 @@ from pathlib import Path
 
 from murmurate.runs import presets
 from murmurate.runs.execute import LocalProcesses, run_jobs
+from murmurate.runs.experiment import ExperimentConfig
 from murmurate.runs.folder import RunFolder
 from murmurate.runs.grid import Grid
 from murmurate.runs.jobs import training_jobs
@@ -33,15 +34,15 @@ EVERY = 10
 """Of the metrics, the package holds one row in so many: enough to draw how training went."""
 
 
-def train(recipes: Mapping[str, Path], runs: Path, initial: Mapping[str, Path]) -> None:
+def train(experiments: Mapping[str, ExperimentConfig], runs: Path, initial: Mapping[str, Path]) -> None:
     """Trains, a few at a time, what is not finished.
 
     Args:
-        recipes: The experiments, by the names of their run folders.
+        experiments: The experiments, by the names of their run folders.
         runs: The folder of all runs.
         initial: The finished runs whose policies some of them begin with, by the same names.
     """
-    grid = Grid({name: presets.resolve(recipe) for name, recipe in recipes.items()})
+    grid = Grid(experiments)
     grid.check(runs)
     begun_with = {name: Run.open(folder) for name, folder in initial.items()}
     statuses = run_jobs(training_jobs(grid, runs, initial=begun_with), LocalProcesses(AT_ONCE, retries=0))
@@ -71,9 +72,10 @@ def main() -> None:
     folders = {f"{path.parent.name}-{path.name}": path for path in sorted(FOLDER.glob("*/*"))}
     recipes = {name: path for name in folders if (path := RECIPES / f"{name}.toml").exists()}
     if not options.only_finished:
-        train({f"discovered-{name}": path for name, path in recipes.items()}, options.runs, {})
+        discoveries = {f"discovered-{name}": presets.resolve(path) for name, path in recipes.items()}
+        train(discoveries, options.runs, {})
         train(
-            {f"pretrained-{name}": RunFolder(path).experiment_file for name, path in folders.items()},
+            {f"pretrained-{name}": RunFolder(path).experiment() for name, path in folders.items()},
             options.runs,
             {f"pretrained-{name}": options.runs / f"discovered-{name}" for name in recipes},
         )
