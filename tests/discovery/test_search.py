@@ -369,6 +369,24 @@ def test_a_surrounded_share_begins_in_rings_and_only_the_base():
     assert (float(base.start.share), auxiliary.start.share) == (0.5, 0)
 
 
+def test_a_policy_may_be_rewarded_for_a_smooth_signal_beside_its_objective():
+    """The signal is in the reward of that policy alone, not in what the list is judged by or what is recorded."""
+    problem = replace(PROBLEM, base=replace(BASE, weights={**BASE.weights, "convex": 2.0}))
+    search = Search(problem)
+    base, auxiliary = (training_world(problem, index, search.world.start, search.begin().sigma) for index in range(2))
+    assert float(base.objective.weights["convex"]) == 2.0
+    assert base.objective.names == (*problem.signal_names, "convex")
+    assert auxiliary.objective.names == search.world.objective.names == problem.signal_names
+    around = 6.0 * np.stack([np.cos(turns := np.arange(3) * 2 * np.pi / 3), np.sin(turns)], axis=1)
+    inside, outside = (np.concatenate([around, [[0.0, y]]]).astype(np.float32) for y in (0.0, 12.0))
+    inner, outer = (
+        float(base.objective(base.signals(points)) - search.world.objective(search.world.signals(points)))
+        for points in (inside, outside)
+    )
+    assert outer == pytest.approx(2.0, abs=1e-5)
+    assert inner < 1.9
+
+
 def test_a_hard_share_needs_room_for_hard_starts(tmp_path):
     with pytest.raises(InputError, match="few enough to fit the cluster start"):
         Search(crowd(tmp_path, random_share=0.0, hard_share=0.5))

@@ -16,13 +16,7 @@ def smooth_visible(positions: np.ndarray, radius: float, margin: float) -> float
             for j in range(robots):
                 if len({i, j, k}) < 3:
                     continue
-                to_i, to_j = positions[i] - positions[k], positions[j] - positions[k]
-                far, near = hypot(*to_i), hypot(*to_j)
-                if near >= far:
-                    continue
-                angle = acos(max(-1.0, min(1.0, float(to_i @ to_j) / (far * near))))
-                wide = (1 + margin) * (asin(radius / far) + asin(radius / near))
-                lack = max(0.0, 1 - sin(angle / 2) / sin(wide / 2))
+                lack = _lack(positions[i] - positions[k], positions[j] - positions[k], radius, margin)
                 total += lack**2 / (lack + 0.03)
             hidden += total / (1 + total) / robots
     return 1 - log1p(10 / 3 * hidden) / log1p(10 / 3 * (robots - 1))
@@ -62,3 +56,27 @@ def convex(positions: np.ndarray, ring_radius: float) -> list[float]:
         depth = min(max(x * cos(turn) + y * sin(turn) for x, y in others) for turn in turns)
         shares.append(1 - max(0.0, depth) / ring_radius)
     return shares
+
+
+def occluders(positions: np.ndarray, radius: float, ring_radius: float, margin: float) -> list[float]:
+    """Each robot's share: its depth inside the hull, by how much of the others it hides from others."""
+    shares = []
+    for j, depth in enumerate(1 - share for share in convex(positions, ring_radius)):
+        hidden = 0.0
+        for k in range(len(positions)):
+            for i in range(len(positions)):
+                if len({i, j, k}) == 3:
+                    lack = _lack(positions[i] - positions[k], positions[j] - positions[k], radius, margin)
+                    hidden += lack**2 / (lack + 0.03)
+        shares.append(1 - depth * hidden / (0.03 + hidden))
+    return shares
+
+
+def _lack(to_i: np.ndarray, to_j: np.ndarray, radius: float, margin: float) -> float:
+    """Of a line of sight to i: how much of the room is missing with which it should pass j, if j is nearer."""
+    far, near = hypot(*to_i), hypot(*to_j)
+    if near >= far:
+        return 0.0
+    angle = acos(max(-1.0, min(1.0, float(to_i @ to_j) / (far * near))))
+    wide = (1 + margin) * (asin(radius / far) + asin(radius / near))
+    return max(0.0, 1 - sin(angle / 2) / sin(wide / 2))

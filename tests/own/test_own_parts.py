@@ -60,8 +60,8 @@ def test_what_was_trained_is_of_ones_own(run):
     names = {"start": "mine:Rings", "policy": "mine:Linear", "scheduler": "mine:RoundRobin"}
     assert {part: getattr(opened.experiment, part).name for part in names} == names
     assert opened.experiment.signals["calm"].name == "mine:Calm"
-    assert opened.experiment.weights(0)["calm"] == 0.7
-    assert opened.experiment.weights(1)["calm"] == 0.5
+    assert opened.experiment.reward(0)[1]["calm"] == 0.7
+    assert opened.experiment.reward(1)[1]["calm"] == 0.5
     trajectories = opened.rollout(4, key=1)
     assert list(trajectories.signals) == ["nclose", "safety", "neighbors", "visible", "calm"]
     # One robot after another.
@@ -211,7 +211,7 @@ def test_files_that_starts_name_go_along_with_the_run(tmp_path):
     (source / "one.csv").unlink()
     moved = Path(shutil.move(tmp_path / "run", tmp_path / "moved"))
     run = murmurate.load(moved, trust=True)
-    assert run.experiment.weights(0) == {"calm": 0.5, "visible": 2.0}
+    assert run.experiment.reward(0)[1] == {"calm": 0.5, "visible": 2.0}
     assert list(run.rollout(2).signals) == ["calm", "visible"]
     off = np.abs(run.starts(16)[:, None] - spots).max(axis=(2, 3))
     assert (off.min(axis=1) <= 0.1).all()

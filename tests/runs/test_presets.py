@@ -152,18 +152,20 @@ def test_an_objective_of_one_s_own_signals_alone(tmp_path, policy, from_file):
     }
     config, usual = presets.resolve(word, data), presets.resolve(word, {"policy": policy})
     for index in range(2):
-        assert config.weights(index) == {"near": 0.5, "visible": usual.weights(index)["visible"]}
+        assert config.reward(index)[1] == {"near": 0.5, "visible": usual.reward(index)[1]["visible"]}
     assert config.objective_signals.keys() == {"near", "visible"}
     assert replace(config.base, weights=usual.base.weights, refine=usual.base.refine) == usual.base
     # The refinement would know nothing of the signals of one's own.
     assert [config.stage(index).learners for index in range(2)] == [("ppo",), ("ppo",)]
     assert config.discovery.min_policies == 2
     own = presets.resolve(word, data, {"auxiliary": {"weights": {"near": 3.0}}})
-    assert own.weights(1)["near"] == 3.0
+    assert own.reward(1)[1]["near"] == 3.0
     gathered = presets.resolve(word, data, {"signals": {"close": {}}})
-    assert gathered.weights(1)["close"] == usual.auxiliary.weights["gathering"]
+    assert gathered.reward(1)[1]["close"] == usual.auxiliary.weights["gathering"]
     for name in ("gathering", "safety"):
-        line = f"^base.weights.{name} = 1.0: must be for a signal of the objective \\(near, visible\\)$"
+        line = (
+            f"^base.weights.{name} = 1.0: must be for a signal of the objective \\(near, visible\\), or a smooth one$"
+        )
         with pytest.raises(InputError, match=line):
             presets.resolve(word, data, {"base": {"weights": {name: 1.0}}})
 

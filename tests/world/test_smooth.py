@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,11 +13,21 @@ from hypothesis import strategies as st
 
 from murmurate.errors import InputError
 from murmurate.geometry import smallest_ring
-from murmurate.world import Centered, Compact, Configuration, Convex, Exposed, SmoothSafety, SmoothVisible, WorldConfig
+from murmurate.world import (
+    Centered,
+    Compact,
+    Configuration,
+    Convex,
+    Exposed,
+    Occluders,
+    SmoothSafety,
+    SmoothVisible,
+    WorldConfig,
+)
 from oracles import configurations, smooth
 
 RADIUS, SAFE = 1.0, 5.0
-SIGNALS = [SmoothVisible(), SmoothSafety(), Compact(), Centered(), Convex(), Exposed()]
+SIGNALS = [SmoothVisible(), SmoothSafety(), Compact(), Centered(), Convex(), Exposed(), Occluders()]
 named = pytest.mark.parametrize("signal", SIGNALS, ids=lambda signal: signal.name)
 
 
@@ -46,6 +58,7 @@ def test_signals_are_the_oracles(seed, robots, side):
         "centered": [2 - np.hypot(*p) / radius for p in positions],
         "convex": smooth.convex(positions, radius),
         "exposed": smooth.exposed(positions, 0.02),
+        "occluders": smooth.occluders(positions, RADIUS, radius, 0.3),
     }
     for signal in SIGNALS:
         shares = signal(configuration(positions[:, :, None]))[:, 0]
@@ -123,6 +136,19 @@ def test_a_robot_in_the_middle_of_a_ring_is_as_deep_as_its_nearest_edge_whatever
         assert (shares[1:] == 1).all()
 
 
+def test_a_robot_in_the_middle_is_driven_out_only_where_it_hides_others():
+    """Five robots around one: with small discs, nobody is hidden, and it is the best pattern of six."""
+    positions = np.concatenate(
+        [np.zeros((1, 2)), 6.0 * np.stack([np.cos(a := 0.4 * np.pi * np.arange(5)), np.sin(a)], 1)]
+    )
+    for radius, is_hiding in ((0.4, False), (2.0, True)):
+        world = replace(configuration(positions).world, radius=radius)
+        shares = Occluders()(Configuration(positions, world))
+        assert (shares[0] < 0.9) == is_hiding
+        assert (shares[1:] == 1).all()
+        assert Convex()(Configuration(positions, world))[0] < 0.5
+
+
 @named
 def test_robots_at_one_place_give_finite_numbers(signal):
     for positions in (np.zeros((4, 2)), np.array([[0.0, 0.0], [0.0, 0.0], [5.0, 0.0], [0.0, 7.0]])):
@@ -135,7 +161,7 @@ def gradient_of(signal, positions):
     return jax.jit(jax.grad(lambda p: signal.value(configuration(p))))(positions)
 
 
-@pytest.mark.parametrize("strategy", [SmoothVisible, SmoothSafety, Exposed])
+@pytest.mark.parametrize("strategy", [SmoothVisible, SmoothSafety, Exposed, Occluders])
 def test_margins_below_zero_are_refused(strategy):
     with pytest.raises(InputError, match="margin"):
         strategy(margin=-0.1)

@@ -20,6 +20,7 @@ from murmurate.learning import LEARNERS, PPOConfig, features_of
 from murmurate.policies import ShieldWrapper
 from murmurate.registry import Strategy
 from murmurate.world import (
+    SMOOTH_SIGNALS,
     Clock,
     Configuration,
     DeadZone,
@@ -181,8 +182,7 @@ def _check_gradients(problem: Problem, index: int, world: World) -> None:
             allowed = "0: its gradient is not finite where robots have the same distance or place"
             raise InputError(f"{section}.{name}", weights[name], allowed)
         if not gradient.any() and np.ptp(values) > 0:
-            smooth = "smooth_visible, smooth_safety, compact, centered, exposed, convex"
-            allowed = f"0: it has no gradient, because it counts (see {smooth})"
+            allowed = f"0: it has no gradient, because it counts (see {', '.join(SMOOTH_SIGNALS)})"
             raise InputError(f"{section}.{name}", weights[name], allowed)
 
 

@@ -13,6 +13,7 @@ from murmurate.learning import LEARNERS, GradientConfig, LearnerConfig, PPOConfi
 from murmurate.policies import NoShield, Policy, Shield
 from murmurate.representation import short_repr
 from murmurate.world import (
+    SMOOTH_SIGNALS,
     FsyncScheduler,
     GlobalSensing,
     Objective,
@@ -44,8 +45,8 @@ class StageConfig:
     """How one policy of the list is trained (the paper's Algorithm 1).
 
     Attributes:
-        weights: Weights of the signals in this policy's reward, by name; gathering stands for close (C1) or nclose
-            (C2).
+        weights: Weights of the signals in this policy's reward, by name: of those of the objective, where gathering
+            stands for close (C1) or nclose (C2), and of the package's smooth signals beside them.
         learner: ppo, which discovers, or gradients, which refines what `--from` or `warm_start` begins with.
         refine: Whether gradients refine the policy that ppo has discovered, from the same starts; with the learner
             gradients it changes nothing.
@@ -237,13 +238,21 @@ class Problem:
         """Returns how the policy at a place in the list is trained."""
         return self.base if index == 0 else self.auxiliary
 
-    def weights(self, index: int) -> dict[str, float]:
-        """Returns the weights of the signals in the reward of the policy at a place in the list."""
-        given, weights = self.stage(index).weights, {}
-        for name, signal in self.objective_signals.items():
+    def reward(self, index: int) -> tuple[dict[str, Signal], dict[str, float]]:
+        """Returns the signals, with their weights, that reward the policy at a place in the list while ppo trains it.
+
+        They are those of the objective, and the smooth signals that the policy has weights for.
+        """
+        given, weights, signals = self.stage(index).weights, {}, self.objective_signals
+        for name, signal in signals.items():
             gathering = given.get(GATHERING) if name in GATHERING_SIGNALS else None
             weights[name] = given.get(name, signal.weight if gathering is None else gathering)
-        return weights
+        known: Mapping[str, Any] = Signal.registered()
+        beside: dict[str, Any] = {
+            name: known[name]() for name in SMOOTH_SIGNALS if name in given and name not in signals
+        }
+        weights.update((name, given[name]) for name in beside)
+        return {**signals, **beside}, weights
 
     def refinement(self, index: int) -> tuple[dict[str, Signal], dict[str, float]]:
         """Returns the signals, with their weights, that the learner gradients improves the policy at a place by.

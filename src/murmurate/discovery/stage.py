@@ -68,7 +68,7 @@ def training_world(problem: Problem, index: int, start: Start, sigma: Float[Arra
     )
     start = _training_start(problem, index, start, sigma)
     horizon: Any = jnp.asarray(stage.horizon, jnp.int32)
-    signals, weights = problem.objective_signals, problem.weights(index)
+    signals, weights = problem.reward(index)
     per_robot = problem.policy.credit == "robots"
     return with_array_leaves(World.create(config, start, signals, weights, horizon, per_robot))
 

@@ -15,7 +15,7 @@ from murmurate.discovery.problem import GATHERING, GATHERING_SIGNALS
 from murmurate.errors import InputError, RunError, check_choice, check_number, check_path, check_type, shown
 from murmurate.registry import Importer, source_folder
 from murmurate.runs import config_io, files
-from murmurate.world import OBJECTIVES, Start, scaled_to
+from murmurate.world import OBJECTIVES, SMOOTH_SIGNALS, Start, scaled_to
 from murmurate.world.start_files import MAX_STARTS_BYTES
 
 __all__ = [
@@ -86,13 +86,15 @@ class ExperimentConfig(Problem):
         names = self.signal_names
         gathering = [GATHERING] if set(GATHERING_SIGNALS) & set(names) else []
         for section, table, extra in (
-            ("base.weights", self.base.weights, gathering),
-            ("auxiliary.weights", self.auxiliary.weights, gathering),
+            ("base.weights", self.base.weights, [*gathering, *SMOOTH_SIGNALS]),
+            ("auxiliary.weights", self.auxiliary.weights, [*gathering, *SMOOTH_SIGNALS]),
             ("valid", self.valid, []),
         ):
+            smooth = ", or a smooth one" if extra else ""
             for name, value in table.items():
                 if name not in (*names, *extra):
-                    raise InputError(f"{section}.{name}", value, f"for a signal of the objective ({', '.join(names)})")
+                    allowed = f"for a signal of the objective ({', '.join(names)}){smooth}"
+                    raise InputError(f"{section}.{name}", value, allowed)
         for index in range(2):
             self.refinement(index)  # refuses weights of signals that there are not
         for name, least in self.valid.items():

@@ -320,12 +320,14 @@ def _advance(trainings: Sequence[_Training]) -> tuple[list[_Training], list[dict
         steps = rows[-1]["policy_steps"] - before
         # Of the time that all took together, each is charged an equal part.
         share = took / len(trainings)
+        # What a policy is rewarded for beside the objective is its own: all rows of a run have the same signals.
         signals = training.search.problem.objective_signals
         recorded = [
             {
                 "environment_steps": training.environment_steps(index) + row.pop("policy_steps"),
                 **row,
-                "objective": sum(signals[name].weight * value for name, value in row["signals"].items()),
+                "signals": {name: row["signals"][name] for name in signals},
+                "objective": sum(signal.weight * row["signals"][name] for name, signal in signals.items()),
                 "steps_per_second": steps / share,
                 "seconds": checkpoint.seconds + share * number / len(rows),
             }

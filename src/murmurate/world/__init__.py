@@ -36,7 +36,16 @@ from murmurate.world.scheduling import (
 )
 from murmurate.world.sensing import Frames, GlobalSensing, ScanSensing, Sensing, VisibleSensing
 from murmurate.world.signals import OBJECTIVES, Configuration, Objective, Signal, objective_signals
-from murmurate.world.smooth import Centered, Compact, Convex, Exposed, SmoothSafety, SmoothVisible
+from murmurate.world.smooth import (
+    SMOOTH_SIGNALS,
+    Centered,
+    Compact,
+    Convex,
+    Exposed,
+    Occluders,
+    SmoothSafety,
+    SmoothVisible,
+)
 from murmurate.world.start_files import check_configurations, checked_starts, read_named_starts, read_starts
 from murmurate.world.start_sets import start_set
 from murmurate.world.starts import (
@@ -58,6 +67,7 @@ from murmurate.world.symmetric_starts import Family, SymmetricStart
 __all__ = [
     "MAX_ROBOTS",
     "OBJECTIVES",
+    "SMOOTH_SIGNALS",
     "ActionRepeat",
     "Activation",
     "AsyncScheduler",
@@ -84,6 +94,7 @@ __all__ = [
     "Objective",
     "Observation",
     "ObservedState",
+    "Occluders",
     "PackedStart",
     "ScanSensing",
     "ScatteredStart",

@@ -21,7 +21,19 @@ from murmurate.world.signals import Configuration, Signal
 
 Array = Any  # a NumPy or a JAX array
 
-__all__ = ["Centered", "Compact", "Convex", "Exposed", "SmoothSafety", "SmoothVisible"]
+__all__ = [
+    "SMOOTH_SIGNALS",
+    "Centered",
+    "Compact",
+    "Convex",
+    "Exposed",
+    "Occluders",
+    "SmoothSafety",
+    "SmoothVisible",
+]
+
+SMOOTH_SIGNALS = ("smooth_visible", "smooth_safety", "compact", "centered", "exposed", "convex", "occluders")
+"""The signals with a gradient by name: a policy may be rewarded for any of them beside its objective."""
 
 STEEPNESS = 10 / 3
 """How steeply the first hidden robot counts against all of them."""
@@ -54,26 +66,8 @@ class SmoothVisible(Signal):
 
     def __call__(self, configuration: Configuration) -> Float[Array, "robots *batch"]:
         """Returns the same for each robot: 1 where all see all others with the margin, 0 where nobody sees anybody."""
-        xp, robots, radius = configuration.xp, configuration.positions.shape[0], configuration.world.radius
-        dx, dy, distance, apart = _pairs(configuration)
-        ux, uy = (xp.where(apart, d / distance, 0.0) for d in (dx, dy))
-        half = xp.asin(xp.minimum(radius / distance, 0.999))
-        # The chord of an angle a is 2 sin(a / 2), here of half the sum of two such angles: sin(p + q).
-        quarter = xp.minimum((1 + self.margin) * half / 2, math.pi / 4)
-        sine, cosine = xp.sin(quarter), xp.cos(quarter)
-
-        def shadow(first: tuple[Any, ...], other: tuple[Any, ...], same: Any) -> tuple[Any]:
-            # Of an observer, another robot and a third one. The observer itself has no direction, which is 0.
-            (ux, uy, distance, sine, cosine), (jx, jy, near, jsine, jcosine) = first, other
-            square = (ux - jx) ** 2 + (uy - jy) ** 2
-            nearer = (near < distance) & (ux * ux + uy * uy > 0) & (jx * jx + jy * jy > 0) & ~same
-            # The gradient of the square root at 0 is not finite.
-            chord = xp.where(square > 0, xp.sqrt(xp.where(square > 0, square, 1.0)), 0.0)
-            lack = 1 - chord / (2 * (sine * jcosine + cosine * jsine))
-            lack = xp.where(nearer & (lack > 0), lack, 0.0)
-            return (lack**2 / (lack + SOFTNESS),)
-
-        (total,) = sum_over_third_robots(shadow, (ux, uy, distance, sine, cosine))
+        xp, robots = configuration.xp, configuration.positions.shape[0]
+        (total,) = sum_over_third_robots(*_shadows(configuration, self.margin))
         hidden = total / (1 + total)
         count = xp.mean(_batch_last.fold(operator.add, hidden, 1), axis=0)
         share = 1 - xp.log1p(STEEPNESS * count) / math.log1p(STEEPNESS * (robots - 1))
@@ -164,18 +158,77 @@ class Convex(Signal):
     """How deep each robot is inside the convex hull of the swarm: 1 for those on the hull.
 
     The widest gap around a robot in the middle of a wide ring hardly grows as the robot moves outwards. Its depth falls
-    all the way. The depth is the least over evenly spaced directions of how far the swarm reaches beyond the robot.
+    all the way.
     """
 
     def __call__(self, configuration: Configuration) -> Float[Array, "robots *batch"]:
         """Returns 1 - depth / the radius of the smallest valid ring."""
-        xp, positions = configuration.xp, configuration.positions
-        robots = positions.shape[0]
-        count = max(LEAST_DIRECTIONS, 4 * robots)
-        turns = xp.reshape(xp.arange(count) * (2 * math.pi / count), (count, *[1] * (positions.ndim - 1)))
-        along = xp.cos(turns) * positions[None, :, 0] + xp.sin(turns) * positions[None, :, 1]
-        depth = xp.min(xp.max(along, axis=1, keepdims=True) - along, axis=0)
-        return 1 - depth / _ring_radius(configuration)
+        return 1 - _depths(configuration)
+
+
+@Signal.register("occluders")
+class Occluders(Signal):
+    """How deep each robot that stands between others is inside the convex hull: 1 for those that hide nobody.
+
+    On the hull of a strictly convex pattern robots hide nobody. But where discs are small, the best pattern may have a
+    robot in the middle of all others, which `convex` would drive out.
+
+    Attributes:
+        margin: As in `smooth_visible`: share by which a line of sight should pass the robot.
+    """
+
+    margin: float = eqx.field(default=0.3, kw_only=True)
+
+    def __check_init__(self) -> None:
+        check_number("margin", self.margin, 0, MAX_MAGNITUDE)
+
+    def __call__(self, configuration: Configuration) -> Float[Array, "robots *batch"]:
+        """Returns 1 - h / (0.03 + h) * depth / the radius of the smallest valid ring; h is what the robot hides."""
+        shadow, arrays = _shadows(configuration, self.margin)
+        # Each robot as the third one of all pairs.
+        (hidden,) = sum_over_third_robots(lambda first, other, same: shadow(other, first, same), arrays)
+        hidden = _batch_last.fold(operator.add, hidden, 0)
+        return 1 - hidden / (SOFTNESS + hidden) * _depths(configuration)
+
+
+def _shadows(configuration: Configuration, margin: float) -> tuple[Any, tuple[Any, ...]]:
+    """Returns a function of a pair of robots and a third one, and what it takes of each: how much the third hides.
+
+    Of an observer k, another robot i and a third one j: how far the chord of the angle between i and j is below that of
+    (1 + margin) w, as a share, where j is the nearer one; 0 where it is not.
+    """
+    xp, radius = configuration.xp, configuration.world.radius
+    dx, dy, distance, apart = _pairs(configuration)
+    ux, uy = (xp.where(apart, d / distance, 0.0) for d in (dx, dy))
+    half = xp.asin(xp.minimum(radius / distance, 0.999))
+    # The chord of an angle a is 2 sin(a / 2), here of half the sum of two such angles: sin(p + q).
+    quarter = xp.minimum((1 + margin) * half / 2, math.pi / 4)
+    sine, cosine = xp.sin(quarter), xp.cos(quarter)
+
+    def shadow(first: tuple[Any, ...], other: tuple[Any, ...], same: Any) -> tuple[Any]:
+        # The observer itself has no direction, which is 0.
+        (ux, uy, distance, sine, cosine), (jx, jy, near, jsine, jcosine) = first, other
+        square = (ux - jx) ** 2 + (uy - jy) ** 2
+        nearer = (near < distance) & (ux * ux + uy * uy > 0) & (jx * jx + jy * jy > 0) & ~same
+        # The gradient of the square root at 0 is not finite.
+        chord = xp.where(square > 0, xp.sqrt(xp.where(square > 0, square, 1.0)), 0.0)
+        lack = 1 - chord / (2 * (sine * jcosine + cosine * jsine))
+        lack = xp.where(nearer & (lack > 0), lack, 0.0)
+        return (lack**2 / (lack + SOFTNESS),)
+
+    return shadow, (ux, uy, distance, sine, cosine)
+
+
+def _depths(configuration: Configuration) -> Any:
+    """Returns how deep each robot is inside the convex hull, in radii of the smallest valid ring: 0 on the hull.
+
+    The depth is the least over evenly spaced directions of how far the swarm reaches beyond the robot.
+    """
+    xp, positions = configuration.xp, configuration.positions
+    count = max(LEAST_DIRECTIONS, 4 * positions.shape[0])
+    turns = xp.reshape(xp.arange(count) * (2 * math.pi / count), (count, *[1] * (positions.ndim - 1)))
+    along = xp.cos(turns) * positions[None, :, 0] + xp.sin(turns) * positions[None, :, 1]
+    return xp.min(xp.max(along, axis=1, keepdims=True) - along, axis=0) / _ring_radius(configuration)
 
 
 def _pairs(configuration: Configuration) -> tuple[Any, Any, Any, Any]:
