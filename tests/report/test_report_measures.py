@@ -52,6 +52,15 @@ def test_the_gap_is_what_the_evaluation_says(result):
     assert "gap" not in cells(tables.steps_table({"C": {"central": replace(measured, gap=None)}}))[0]
 
 
+def test_contact_and_exits_are_counted_apart(result):
+    measured = measure(result)
+    lacking = {**measured.lacking, "contact_free": 1, "inside": 2}
+    header, _, _, row = cells(tables.steps_table({"C": {"central": replace(measured, lacking=lacking)}}))
+    shown = dict(zip(header, row, strict=True))
+    free, inside = (f"{measured.episodes - count} of {measured.episodes}" for count in (1, 2))
+    assert (shown["contact-free"], shown["inside"]) == (free, inside)
+
+
 def test_what_could_not_be_computed_is_a_dash(result):
     steps = dict.fromkeys(("base_steps", "auxiliary_steps", "total_steps", "bound_steps", "valid"), math.nan)
     measured = measure(replace(result, summary={**result.summary, **steps}))

@@ -84,7 +84,7 @@ def steps_table(experiments: Mapping[str, ByPolicy]) -> str:
     """The paper's Table IV, each row with ours below it."""
     with_gap = any(run.gap is not None for runs in experiments.values() for run in runs.values())
     header = ("experiment", "swarm size", "policy", "base steps", "auxiliary steps", "total steps")
-    header += ("kinematic bound", "efficiency", "valid", "contact-free", *(("gap",) if with_gap else ()))
+    header += ("kinematic bound", "efficiency", "valid", "contact-free", "inside", *(("gap",) if with_gap else ()))
     rows = []
     for name, runs in experiments.items():
         paper = EXPERIMENTS[name]
@@ -96,10 +96,9 @@ def steps_table(experiments: Mapping[str, ByPolicy]) -> str:
         rows.append([f"*{cell}*" for cell in cells] + [NONE] * (len(header) - len(cells)))
         for run in runs.values():
             steps = (run.base_steps, run.auxiliary_steps, run.total_steps, run.bound_steps)
-            contacts = run.lacking["contact_free"]
-            free = None if contacts is None else run.episodes - contacts
+            kept = [_holding(run, name) for name in ("contact_free", "inside")]
             gap = f"{100 * run.gap / run.best_known:.2f} %" if run.gap is not None and run.best_known else NONE
-            counts = (_of(run.valid, run), _of(free, run), *((gap,) if with_gap else ()))
+            counts = (_of(run.valid, run), *(_of(count, run) for count in kept), *((gap,) if with_gap else ()))
             cells = (*(_number(value) for value in steps), _number(run.efficiency, 2), *counts)
             rows.append((name, robots, run.policy, *cells))
     text = (
@@ -196,3 +195,9 @@ def _number(value: float, digits: int = 1) -> str:
 
 def _of(count: int | None, run: Measures) -> str:
     return NONE if count is None else f"{count} of {run.episodes}"
+
+
+def _holding(run: Measures, condition: str) -> int | None:
+    """Returns in how many episodes a condition of a valid pattern held."""
+    lacking = run.lacking[condition]
+    return None if lacking is None else run.episodes - lacking
