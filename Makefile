@@ -65,7 +65,7 @@ benchmark: $(VENV)/.dev  ## speed, limits and memory beside other projects (minu
 	$(BIN)/python -c 'import jaxmarl' 2>/dev/null || $(INSTALL) '.[benchmark]'
 	$(BIN)/python -m benchmarks --out docs/benchmarks.md --json docs/benchmarks.json --figure docs/figures/cost.png
 
-results: $(VENV)/.core  ## trains A-F with both policies and five seeds (hours); writes docs/results.md
+results: $(VENV)/.core  ## trains A-F with each learner and five seeds (hours); writes docs/results.md
 	$(BIN)/python -m benchmarks.results
 
 seeds: $(VENV)/.core  ## trains sixteen seeds of A-F (an hour or two); writes docs/discoveries.md

@@ -211,7 +211,7 @@ def test_files_that_starts_name_go_along_with_the_run(tmp_path):
     (source / "one.csv").unlink()
     moved = Path(shutil.move(tmp_path / "run", tmp_path / "moved"))
     run = murmurate.load(moved, trust=True)
-    assert run.experiment.reward(0)[1] == {"calm": 0.5, "visible": 2.0}
+    assert run.experiment.reward(0)[1] == {"calm": 0.5, "visible": 4.0}
     assert list(run.rollout(2).signals) == ["calm", "visible"]
     off = np.abs(run.starts(16)[:, None] - spots).max(axis=(2, 3))
     assert (off.min(axis=1) <= 0.1).all()
