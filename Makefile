@@ -68,7 +68,7 @@ benchmark: $(VENV)/.dev  ## speed, limits and memory beside other projects (minu
 results: $(VENV)/.core  ## trains A-F with each learner and five seeds (hours); writes docs/results.md
 	$(BIN)/python -m benchmarks.results
 
-seeds: $(VENV)/.core  ## trains sixteen seeds of A-F (an hour or two); writes docs/discoveries.md
+seeds: $(VENV)/.core  ## trains sixteen seeds of A-F with the default learner (hours); writes docs/discoveries.md
 	$(BIN)/python -m benchmarks.seeds
 
 optima: $(VENV)/.core  ## searches for better patterns than the best known (two hours); keeps what is better

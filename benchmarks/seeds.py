@@ -1,6 +1,6 @@
 """What many seeds discover, beside what an annealer finds: `make seeds`; writes docs/discoveries.md and its plates.
 
-python -m benchmarks.seeds [--runs runs/seeds] [--out docs] [--seeds 16] [--experiments A B C D E F] [--only-finished]
+python -m benchmarks.seeds [--runs runs] [--out docs] [--seeds 16] [--experiments A B C D E F] [--only-finished]
 """
 
 from __future__ import annotations
@@ -23,8 +23,7 @@ from murmurate.runs.jobs import training_jobs
 from murmurate.runs.paper import EXPERIMENTS
 from murmurate.runs.presets import preset
 
-WORLDS = 128
-"""Parallel episodes of each training: half of the default, so that all of it takes an hour and not two."""
+SEEDS = 16
 
 SEARCHES, POLISHED = 1, 256
 """Annealings of each problem, and how many of the 256 chains of each are polished: all, poor local optima too."""
@@ -162,13 +161,12 @@ def picture(pattern: PatternClass, total: int) -> plots.PlatePattern:
 PAGE = """# Discoveries
 
 The patterns that {seeds} seeds of each experiment discover, beside those that simulated annealing finds among
-configurations alone. Made by `make seeds`, which trains what is missing and writes this page.
+configurations alone. Made by {command}, which trains what is missing and writes this page.
 
-Each row is {seeds} trainings, each with the settings of its experiment but {worlds} parallel episodes instead of
-256, and so half of the budget, and each evaluated on {episodes} fresh starts. Their valid final patterns are sorted
-into classes as `murmurate catalogue` does: the same up to moving, turning, relabelling, mirroring and scaling,
-within 0.125 root mean square radii. Each training was pinned to one core, because the number of threads changes a
-policy a little.
+Each row is {seeds} trainings of the default learner, each evaluated on {episodes} fresh starts. Their valid final
+patterns are sorted into classes as `murmurate catalogue` does: the same up to moving, turning, relabelling, mirroring
+and scaling, within 0.125 root mean square radii. Each training was pinned to one core, because the number of threads
+changes a policy a little.
 
 - *Distinct* are the classes of the runs; *in several runs*, those that more than one run found.
 - *Annealed* are the distinct valid patterns among the {ends} ends of simulated annealing, good and bad ones, polished
@@ -185,16 +183,16 @@ policy a little.
 def main() -> None:
     """Trains what is missing and writes the page."""
     parser = argparse.ArgumentParser(description="Trains many seeds of A-F, and says what they discover.")
-    parser.add_argument("--runs", type=Path, default=Path("runs/seeds"))
+    parser.add_argument("--runs", type=Path, default=Path("runs"))
     parser.add_argument("--out", type=Path, default=Path("docs"))
-    parser.add_argument("--seeds", type=int, default=16)
+    parser.add_argument("--seeds", type=int, default=SEEDS)
     parser.add_argument("--experiments", nargs="+", choices=list(EXPERIMENTS), default=list(EXPERIMENTS))
     parser.add_argument("--only-train", action="store_true", help="write nothing yet")
     parser.add_argument("--only-finished", action="store_true", help="train nothing")
     options = parser.parse_args()
     if not options.only_finished:
-        worlds = {"base.ppo.worlds": WORLDS, "auxiliary.ppo.worlds": WORLDS}
-        grid = Grid.product(options.experiments, seeds=options.seeds, fields=worlds)
+        # The runs of `make results` are among these.
+        grid = Grid.product(options.experiments, learners=["equivariant"], seeds=options.seeds)
         # One core each: the number of threads changes the last bits of a training.
         run_jobs(training_jobs(grid, options.runs), LocalProcesses())
     if options.only_train:
@@ -215,7 +213,7 @@ def write(studies: Sequence[Study], seeds: int, out: Path) -> None:
         plates.append(f"![Patterns of {robots} robots that the runs discovered](figures/{name})\n")
     text = PAGE.format(
         seeds=seeds,
-        worlds=WORLDS,
+        command="`make seeds`" if seeds == SEEDS else f"`python -m benchmarks.seeds --seeds {seeds}`",
         episodes=EPISODES,
         ends=SEARCHES * POLISHED,
         table=table.as_markdown(HEADER, [row(result, seeds) for result in studies]),
