@@ -26,11 +26,13 @@ from murmurate.runs.paper import EXPERIMENTS
 from murmurate.runs.run import Run
 from murmurate.world import (
     ClusterStart,
+    CornerStart,
     DistributedStart,
     PackedStart,
     ScatteredStart,
     Start,
     UniformStart,
+    WorldConfig,
     draw_starts,
 )
 
@@ -48,6 +50,7 @@ OTHER_STARTS: dict[str, Start] = {
     "two lines": PackedStart(lines=2),
     "one line, noise R": PackedStart(noise=1.0),
     "cluster": ClusterStart(),
+    "corner": CornerStart(),
 }
 TITLES = {
     "equivariant": "The default learner, `equivariant`",
@@ -63,13 +66,39 @@ COLUMNS += ("total / bound", "gap", "policies", "training")
 """What of `table.RESULTS` the page shows; what holds in all runs is a sentence."""
 
 
+GROUPS = {
+    "two groups": ((-1, -1), (1, -1)),
+    "three groups": ((-1, -1), (1, -1), (0, 1)),
+    "four groups": ((-1, -1), (1, -1), (1, 1), (-1, 1)),
+}
+"""Layouts that the package has no start for: near which corners, or sides, of the world the groups are."""
+
+SPREAD = 6.0
+"""Half-width of the square in which a group begins, in robot radii."""
+
+
+def grouped(world: WorldConfig, places: Sequence[tuple[int, int]], seed: int) -> np.ndarray:
+    """Draws starts in which the robots stand in groups as equal as can be, none in contact."""
+    rng, bounds = np.random.default_rng(seed), np.asarray(world.bounds)
+    centers = np.resize(np.asarray(places, float), (world.robots, 2)) * (bounds - SPREAD * world.radius)
+    starts: list[np.ndarray] = []
+    while len(starts) < EPISODES:
+        points = centers + rng.uniform(-SPREAD, SPREAD, (world.robots, 2)) * world.radius
+        if murmurate.geometry.clearances(points, world.radius).min() > 0:
+            starts.append(points)
+    return np.stack(starts).astype(np.float32)
+
+
 def other_starts(run: Run) -> list[str]:
     """Evaluates one run from every kind of start; returns the cells of a row."""
     world = run.experiment.world
     cells = []
     own = cast(Start, replace(cast(Any, run.experiment.start), noise=4.0))
-    for index, start in enumerate((*OTHER_STARTS.values(), own)):
-        points = draw_starts(start.prepare(world), prng.key(10_000 + index), EPISODES, world)
+    drawn = [
+        draw_starts(start.prepare(world), prng.key(10_000 + index), EPISODES, world)
+        for index, start in enumerate((*OTHER_STARTS.values(), own))
+    ]
+    for points in (*drawn, *(grouped(world, places, seed) for seed, places in enumerate(GROUPS.values()))):
         trajectories = run.rollout(points)
         validity = check_validity(trajectories, world)
         bound = np.mean([bound_steps(a, b, world.max_speed) for a, b in zip(points, trajectories.final, strict=True)])
@@ -127,7 +156,7 @@ def write(runs: list[Path], out: Path, commands: str) -> None:
     page = PAGE.format(
         machine=machine(runs[0]),
         results=results(runs),
-        others=table.as_markdown(("", *OTHER_STARTS, NOISY), others),
+        others=table.as_markdown(("", *OTHER_STARTS, NOISY, *GROUPS), others),
         commands=commands,
         seeds=", ".join(map(str, seeds)),
     )
@@ -190,8 +219,8 @@ The colour of a path is that of the active policy: blue for the base policy, gre
 
 The equivariant runs of seed 0, 200 starts for each cell: valid of 200, (episodes with a contact or an exit), steps over
 bound. The column of an experiment's own start repeats the table above with other random numbers; the other layouts
-were never trained on. About half of the base policy's training begins anywhere, but mostly more crowded than here. The
-last column has the experiment's own start with twice the paper's noise.
+were never trained on. About half of the base policy's training begins anywhere, but mostly more crowded than here. One
+column has the experiment's own start with twice the paper's noise. For the last three the package has no start.
 
 {others}
 ![Experiment C: start, base pattern, final pattern, training, one episode](figures/discovery-C.png)
