@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from murmurate.discovery import StageConfig
+from murmurate.learning import GradientConfig
 from murmurate.representation import short_repr
 from murmurate.runs.evaluate import EPISODES
 from murmurate.runs.experiment import ExperimentConfig
@@ -30,14 +31,22 @@ _QUICK_SIZES = (6, 8, 10)
 
 @dataclass(frozen=True)
 class _Budget:
-    """How much a quick report trains: updates by PPO, in so many parallel episodes, and by gradients."""
+    """How much a quick report trains.
 
+    Attributes:
+        policies: Policies in a list at most.
+        ppo: Updates by PPO of each.
+        worlds: Parallel episodes of these.
+        gradients: Updates by gradients, where there are any.
+    """
+
+    policies: int
     ppo: int
     worlds: int
-    gradients: int = 0
+    gradients: int = GradientConfig().updates
 
 
-_QUICK = {"equivariant": _Budget(30, worlds=64, gradients=150), "central": _Budget(60, worlds=128)}
+_QUICK = {"equivariant": _Budget(1, ppo=30, worlds=64, gradients=150), "central": _Budget(3, ppo=100, worlds=128)}
 
 
 @dataclass(frozen=True)
@@ -145,10 +154,9 @@ def _quickened(config: ExperimentConfig, learner: str) -> ExperimentConfig:
     budget = _QUICK[learner]
 
     def stage(like: StageConfig) -> StageConfig:
-        gradients = replace(like.gradients, updates=budget.gradients or like.gradients.updates)
+        gradients = replace(like.gradients, updates=budget.gradients)
         return replace(like, ppo=replace(like.ppo, updates=budget.ppo, worlds=budget.worlds), gradients=gradients)
 
     # As many episodes everywhere as the evaluation has: a cascade is then compiled once for each length of its list.
-    fewest = config.discovery.min_policies
-    discovery = replace(config.discovery, max_policies=fewest, sigma=EPISODES, episodes=EPISODES)
+    discovery = replace(config.discovery, max_policies=budget.policies, sigma=EPISODES, episodes=EPISODES)
     return replace(config, base=stage(config.base), auxiliary=stage(config.auxiliary), discovery=discovery)

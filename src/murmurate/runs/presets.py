@@ -97,6 +97,8 @@ _EQUIVARIANT = TrainingPreset(
 # closeness led inside the ring stay there (C): to leave, they would have to pass between two others, which costs safety
 # more than visibility pays. The shield does not serve it: robots that are trained behind it crowd, and where it
 # shortens moves of a policy that was trained without it, the pattern breaks. Margins keep robots from touching instead.
+# Without a cost of motion, a policy may swing for ever as soon as it acts without noise (D with seed 2, A with seed 4);
+# with one of 0.02, which is more than a step towards the origin pays in A, robots do not gather.
 _CENTRAL = TrainingPreset(
     policy=CentralPolicy(hidden=(128, 128), credit="swarm"),
     base=StageConfig(
@@ -105,12 +107,14 @@ _CENTRAL = TrainingPreset(
         horizon=200,
         repeat=2,
         random_share=0.0,
+        motion_cost=0.002,
         margin=0.1,
     ),
     auxiliary=StageConfig(
         ppo=PPOConfig(updates=150, epochs=4, discount=0.90),
         weights={"gathering": 0.5, "safety": 0.5, "neighbors": 2.0, "visible": 6.0, "convex": 3.0},
         horizon=60,
+        motion_cost=0.002,
         margin=0.05,
     ),
     discovery=DiscoveryConfig(max_policies=4),
