@@ -103,7 +103,7 @@ _CENTRAL = TrainingPreset(
     policy=CentralPolicy(hidden=(128, 128), credit="swarm"),
     base=StageConfig(
         ppo=PPOConfig(updates=150, epochs=4),
-        weights={"gathering": 1.0, "safety": 0.3, "neighbors": 1.0, "visible": 4.0, "convex": 3.0},
+        weights={"gathering": 2.0, "safety": 0.3, "neighbors": 1.0, "visible": 4.0, "convex": 3.0},
         horizon=200,
         repeat=2,
         random_share=0.0,
@@ -112,7 +112,7 @@ _CENTRAL = TrainingPreset(
     ),
     auxiliary=StageConfig(
         ppo=PPOConfig(updates=150, epochs=4, discount=0.90),
-        weights={"gathering": 0.5, "safety": 0.5, "neighbors": 2.0, "visible": 6.0, "convex": 3.0},
+        weights={"gathering": 1.5, "safety": 0.5, "neighbors": 2.0, "visible": 6.0, "convex": 3.0},
         horizon=60,
         motion_cost=0.002,
         margin=0.05,
