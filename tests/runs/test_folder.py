@@ -111,14 +111,16 @@ _LATER = ("terminated", "epochs", "after_rest")
 def test_experiments_of_version_0_1_0_have_another_rule_of_rest(tmp_path):
     """`tolerance` is read and means nothing, and robots that knew no dead zone have none."""
     folder = RunFolder(tmp_path)
-    folder.write_experiment(tiny())
+    still = {"motion_cost": 0.0}
+    config = tiny(base=still, auxiliary=still)
+    folder.write_experiment(config)
     path = tmp_path / "experiment.toml"
     lines = path.read_text().splitlines()
     old = [line for line in lines if not line.startswith(("dead_zone", "stillness", "motion_cost"))]
     assert len(old) == len(lines) - 6
     path.write_text("\n".join(old).replace("switch_tolerance", "tolerance = 0.0003\nswitch_tolerance"))
-    rest = tiny().rest
-    assert folder.experiment() == replace(tiny(), rest=replace(rest, dead_zone=0.0))
+    rest = config.rest
+    assert folder.experiment() == replace(config, rest=replace(rest, dead_zone=0.0))
     path.write_text(path.read_text().replace("tolerance = 0.0003", "patience = 0.0003", 1))
     with pytest.raises(RunError, match=r"rest\.patience = 0\.0003: must be a field of \[rest\]"):
         folder.experiment()
