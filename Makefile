@@ -33,7 +33,7 @@ $(VENV)/.dev: $(VENV)/.core
 discover: $(VENV)/.core  ## train (or go on), evaluate and draw one experiment (EXPERIMENT=C SEED=0 OUT=runs/...)
 	$(BIN)/murmurate discover $(EXPERIMENT) --seed $(SEED) --out $(OUT) --resume || [ $$? -eq 5 ]
 
-test: lint pytest  ## style, types, layers and the tests (7 to 8 minutes on two cores)
+test: lint pytest  ## style, types, layers and the tests (8 minutes on two cores)
 
 pytest: $(VENV)/.dev  ## the tests alone
 	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder
