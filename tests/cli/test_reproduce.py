@@ -2,13 +2,16 @@ from __future__ import annotations
 
 import shutil
 
+import jax
 import pytest
 
 from murmurate import plots
+from murmurate.cli import reproduce
 from murmurate.cli.main import main
 from murmurate.report import plan as planning
 from murmurate.report.plan import Plan, PlannedRun
 from murmurate.runs import files, train
+from murmurate.runs.execute import InProcess, LocalProcesses
 from murmurate.runs.folder import RunFolder, trained_checksums
 from murmurate.runs.paper import EXPERIMENTS
 from tiny import tiny
@@ -93,6 +96,7 @@ def test_an_interrupted_command_goes_on(work, trained, capsys, monkeypatch):
         return advance(*args)
 
     monkeypatch.setattr(train, "advance_together", interrupted)
+    monkeypatch.setattr(reproduce, "_executor", lambda workers: InProcess())
     assert main(["reproduce"]) == 130
     out, err = capsys.readouterr()
     assert out == "2 runs in runs: 0 finished, 0 to go on with, 2 to train\n"
@@ -104,6 +108,22 @@ def test_an_interrupted_command_goes_on(work, trained, capsys, monkeypatch):
     for name in NAMES:
         checksums = [trained_checksums(RunFolder(runs / name).manifest()) for runs in (work / "runs", trained)]
         assert checksums[0] == checksums[1]
+
+
+@pytest.mark.parametrize(
+    ("workers", "backend", "executor"),
+    [
+        (None, "cpu", LocalProcesses(None)),
+        (None, "gpu", InProcess()),
+        (3, "cpu", LocalProcesses(3)),
+        (3, "gpu", LocalProcesses(3)),
+    ],
+)
+def test_cores_train_side_by_side_unless_there_is_an_accelerator(monkeypatch, workers, backend, executor):
+    monkeypatch.setattr(jax, "default_backend", lambda: backend)
+    chosen = reproduce._executor(workers)
+    assert type(chosen) is type(executor)
+    assert getattr(chosen, "workers", None) == getattr(executor, "workers", None)
 
 
 @pytest.mark.parametrize(

@@ -16,6 +16,7 @@ from murmurate.terminal import say
 
 if TYPE_CHECKING:
     from murmurate.report.plan import Plan
+    from murmurate.runs.execute import Executor
 
 __all__ = ["run"]
 
@@ -35,7 +36,7 @@ def run(argv: Sequence[str]) -> int:
     parser.add_argument("--out", metavar="DIR", help="report folder (default: reproduction, or reproduction-quick)")
     parser.add_argument("--runs", metavar="DIR", default=RUNS, help=f"folder of all run folders (default: {RUNS})")
     parser.add_argument("--seed", type=int, metavar="INT", default=SEED, help=f"seed of every run (default: {SEED})")
-    text = "train in so many processes of one core each (default: one run after the other, on all cores)"
+    text = "train in so many processes of one core each (default: all cores; on an accelerator, in this process)"
     parser.add_argument("--workers", type=int, metavar="INT", help=text)
     parser.add_argument("--quiet", action="store_true", help="do not show the progress")
     parser.epilog = "Finished runs are reused, and unfinished ones go on: after an interruption, give the same command."
@@ -68,9 +69,8 @@ def reproduce(plan: Plan, runs: Path, out: Path, options: Namespace, begun: floa
     from murmurate.report import report
     from murmurate.report import runs as planned
     from murmurate.report.data import Command, ReportData
-    from murmurate.runs.execute import InProcess, LocalProcesses
 
-    executor = InProcess() if options.workers is None else LocalProcesses(options.workers)
+    executor = _executor(options.workers)
     states = Counter(planned.check(plan, runs).values())
     report.check(out)
     parts = f"{states['finished']} finished, {states['unfinished']} to go on with, {states['new']} to train"
@@ -82,6 +82,16 @@ def reproduce(plan: Plan, runs: Path, out: Path, options: Namespace, begun: floa
     report.write(report.make(ReportData(plan, results, command)), out)
     say(f"report: {out / report.HTML}, {out / report.MARKDOWN}")
     say(f"numbers: {out / report.NUMBERS}")
+
+
+def _executor(workers: int | None) -> Executor:
+    """Returns where runs are trained. On a CPU, a run alone leaves all cores but one idle most of the time."""
+    import jax
+
+    from murmurate.runs.execute import InProcess, LocalProcesses
+
+    on_accelerator = workers is None and jax.default_backend() != "cpu"
+    return InProcess() if on_accelerator else LocalProcesses(workers)
 
 
 def _command(options: Namespace, full: bool = False) -> str:
