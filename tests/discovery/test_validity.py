@@ -13,8 +13,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from murmurate.discovery import Trajectories, bound_steps, check_validity
+from murmurate.discovery.validity import REPLACED, check_pattern
 from murmurate.errors import InputError
 from murmurate.world import Signal, UniformStart, World, WorldConfig, scaled_to, with_array_leaves
+from murmurate.world.signals import Neighbors, Safety, Visible
 from murmurate.world.start_files import check_configurations
 
 WORLD = WorldConfig(robots=6, half_width=35.0, half_height=35.0, scan_radius=30.0, safe_distance=5.0)
@@ -212,6 +214,44 @@ def test_signals_of_ones_own_may_have_to_reach_a_value():
     np.testing.assert_array_equal(judged.signals["wide"], [False, True, True])
     np.testing.assert_array_equal(judged.formed, [False, True, True])
     np.testing.assert_array_equal(judged.valid, [False, True, False], err_msg="the last one loses its width after rest")
+
+
+def beside(distance):
+    """Returns a ring whose first robot is at a distance from the second one."""
+    angle = np.deg2rad(60) - 2 * np.arcsin(distance / 16)
+    return with_robot(0, (8 * np.cos(angle), 8 * np.sin(angle)))
+
+
+def test_a_threshold_of_a_signal_of_the_paper_replaces_its_condition():
+    """Robot 0 stands in the middle, where it hides two pairs; out of reach of three; nearer than the safe distance."""
+    world = replace(WORLD, scan_radius=20.0)
+    positions = np.stack([ring(), with_robot(0, (0.0, 0.0)), with_robot(0, (19.0, 0.0)), beside(4.0)])
+    conditions = check_pattern(positions, world)
+    assert conditions["mutually_visible"].tolist() == [True, False, False, True]
+    assert conditions["gathered"].tolist() == [True, True, False, True]
+    assert conditions["safe"].tolist() == [True, True, True, False]
+
+    def formed(**least):
+        signals = {"visible": Visible(), "neighbors": Neighbors(), "safety": Safety()}
+        thresholds = {name: (signals[name], value) for name, value in least.items()}
+        judged = check_validity(episodes(positions[:, None], np.ones(4, bool)), world, thresholds)
+        assert judged.replaced == {REPLACED[name] for name in least}
+        np.testing.assert_array_equal(judged.mutually_visible, conditions["mutually_visible"])
+        return judged.formed.tolist()
+
+    assert formed() == formed(visible=1.0) == [True, False, False, False]
+    assert formed(visible=13 / 15) == [True, True, False, False]
+    assert formed(visible=0.87) == [True, False, False, False]
+    assert formed(visible=0.0, neighbors=0.0) == [True, True, True, False]
+    assert formed(visible=0.0, neighbors=1.0) == [True, True, False, False]
+    assert formed(safety=0.5) == [True, False, False, True]
+
+
+def test_a_condition_that_is_replaced_need_not_stay():
+    recorded = episodes(beside(5.05)[None, None], np.ones(1, bool), beside(4.95)[None, None])
+    assert check_validity(recorded, WORLD).formed.all()
+    assert not check_validity(recorded, WORLD).stationary.any()
+    assert check_validity(recorded, WORLD, {"safety": (Safety(), 0.9)}).stationary.all()
 
 
 @given(seed=st.integers(0, 2**32 - 1), robots=st.integers(2, 6), whole=st.booleans())

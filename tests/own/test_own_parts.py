@@ -309,7 +309,7 @@ def test_unknown_fields_are_refused(experiment):
         InputError, match=r"^start.gab = 3.0: must be a field of \[start\] \(use, gap\); did you mean gap"
     ):
         presets.resolve(experiment, {"start": {"gab": 3.0}})
-    with pytest.raises(InputError, match=r"^valid.clam = 0.5: must be for a signal of the objective"):
+    with pytest.raises(InputError, match=r"^valid.clam = 0.5: must be for a signal of the objective or the paper"):
         presets.resolve(experiment, {"valid": {"clam": 0.5}})
     with pytest.raises(InputError, match=r"^base.weights.clam = 0.5"):
         presets.resolve(experiment, {"base": {"weights": {"clam": 0.5}}})

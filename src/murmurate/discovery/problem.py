@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
 from murmurate.discovery.rest import RestRule
+from murmurate.discovery.validity import REPLACED
 from murmurate.errors import MAX_INTEGER, MAX_MAGNITUDE, InputError, check_choice, check_number, check_type
 from murmurate.learning import LEARNERS, GradientConfig, LearnerConfig, PPOConfig
 from murmurate.policies import NoShield, Policy, Shield
@@ -175,7 +176,8 @@ class Problem:
         rest: When a policy has come to rest.
         seed: Seed of everything random.
         signals: Signals of the objective besides those that it is named after, or in their place, by name.
-        valid: Least values of signals that a valid pattern must reach, by name.
+        valid: Least values of signals that a valid pattern must reach, by name. A value of visible, neighbors or safety
+            replaces the condition that all pairs see each other, are neighbours, or keep the safe distance.
         sensing: What robots perceive, where each acts on that alone (policies such as local).
         scheduler: When robots look and move.
         shield: What shortens the robots' moves.
@@ -217,7 +219,8 @@ class Problem:
     @property
     def thresholds(self) -> dict[str, tuple[Signal, float]]:
         """The signals that a valid pattern must reach, with their least values, by name."""
-        signals = self.objective_signals
+        known: Mapping[str, Any] = Signal.registered()
+        signals: dict[str, Any] = {**{name: known[name]() for name in REPLACED}, **self.objective_signals}
         return {name: (signals[name], least) for name, least in self.valid.items()}
 
     @property

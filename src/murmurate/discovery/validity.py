@@ -20,9 +20,13 @@ from murmurate.representation import short_repr
 from murmurate.types import Trajectories
 from murmurate.world import Configuration, Signal, WorldConfig, check_world
 
-__all__ = ["Validity", "bound_steps", "check_pattern", "check_validity", "contact_free_and_inside"]
+__all__ = ["REPLACED", "Validity", "bound_steps", "check_pattern", "check_validity", "contact_free_and_inside"]
 
 Flags = Bool[np.ndarray, " episodes"]
+
+REPLACED = {"visible": "mutually_visible", "neighbors": "gathered", "safety": "safe"}
+"""Each of these conditions says that a signal of the paper is at its best. A threshold of that signal replaces it, so
+that a problem may ask for less: 0.5 for half of the pairs, 0 for none."""
 
 DRIFT = 0.25
 """Radii that a robot ends from where it came to rest, at most, in a pattern that is stationary."""
@@ -42,7 +46,8 @@ class Validity:
         stationary: A pattern formed and stayed: after rest, executed for `STATIONARY_STEPS` more steps with nothing
             frozen, all other conditions hold at every one of them, and no robot ends farther than a quarter of its
             radius from where it came to rest. False where that was not recorded: nobody has seen the pattern stay.
-        signals: Whether each signal with a threshold reaches it at the end, by name.
+        signals: Whether each signal with a threshold reaches it at the end, by name. In a valid pattern the signals of
+            `REPLACED` stand for their conditions.
     """
 
     contact_free: Flags
@@ -59,8 +64,14 @@ class Validity:
     @property
     def formed(self) -> Flags:
         """Whether a pattern formed: all of them but that it stayed."""
-        conditions = [self.contact_free, self.inside, self.mutually_visible, self.gathered, self.safe, self.at_rest]
-        return np.logical_and.reduce([*conditions, *self.signals.values()])
+        names = ("contact_free", "inside", "mutually_visible", "gathered", "safe", "at_rest")
+        required = [getattr(self, name) for name in names if name not in self.replaced]
+        return np.logical_and.reduce([*required, *self.signals.values()])
+
+    @property
+    def replaced(self) -> frozenset[str]:
+        """The conditions that a threshold replaces."""
+        return frozenset(condition for signal, condition in REPLACED.items() if signal in self.signals)
 
     @property
     def valid(self) -> Flags:
@@ -115,7 +126,7 @@ def check_pattern(
 
     Returns:
         The conditions of `Validity` that a configuration alone decides, by name; those of signals as `signals.` and a
-        name. A configuration at rest is a valid pattern where all of them hold.
+        name. A configuration at rest is a valid pattern where all of them hold that no threshold replaces.
     """
     positions = np.moveaxis(configurations.astype(float), 0, -1)
     others = ~np.eye(len(positions), dtype=bool)
@@ -143,11 +154,13 @@ def _stationary(
     contact_free, inside = contact_free_and_inside(moves, world)
     drift = np.linalg.norm(moves[:, -1].astype(float) - moves[:, 0], axis=-1).max(axis=-1)
     stationary = formed & contact_free & inside & (drift <= DRIFT * world.radius)
+    replaced = {REPLACED[name] for name in thresholds if name in REPLACED}
     for step in range(1, moves.shape[1]):
         changed = np.flatnonzero(stationary & (moves[:, step] != moves[:, step - 1]).any(axis=(1, 2)))
         if len(changed):
             flags = check_pattern(moves[changed, step], world, thresholds)
-            stationary[changed] = np.logical_and.reduce(list(flags.values()))
+            required = [flag for name, flag in flags.items() if name not in replaced]
+            stationary[changed] = np.logical_and.reduce(required)
     return stationary
 
 

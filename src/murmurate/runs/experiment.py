@@ -12,6 +12,7 @@ from typing import Any, Literal
 from murmurate import prng, untrusted
 from murmurate.discovery import MAX_REST_STEPS, Problem
 from murmurate.discovery.problem import GATHERING, GATHERING_SIGNALS
+from murmurate.discovery.validity import REPLACED
 from murmurate.errors import InputError, RunError, check_choice, check_number, check_path, check_type, shown
 from murmurate.registry import Importer, source_folder
 from murmurate.runs import config_io, files
@@ -85,15 +86,15 @@ class ExperimentConfig(Problem):
                 raise InputError("signals", name, allowed)
         names = self.signal_names
         gathering = [GATHERING] if set(GATHERING_SIGNALS) & set(names) else []
-        for section, table, extra in (
-            ("base.weights", self.base.weights, [*gathering, *SMOOTH_SIGNALS]),
-            ("auxiliary.weights", self.auxiliary.weights, [*gathering, *SMOOTH_SIGNALS]),
-            ("valid", self.valid, []),
+        names_or_smooth = f"for a signal of the objective ({', '.join(names)}), or a smooth one"
+        measurable = dict.fromkeys((*names, *REPLACED))
+        for section, table, extra, allowed in (
+            ("base.weights", self.base.weights, [*gathering, *SMOOTH_SIGNALS], names_or_smooth),
+            ("auxiliary.weights", self.auxiliary.weights, [*gathering, *SMOOTH_SIGNALS], names_or_smooth),
+            ("valid", self.valid, REPLACED, f"for a signal of the objective or the paper ({', '.join(measurable)})"),
         ):
-            smooth = ", or a smooth one" if extra else ""
             for name, value in table.items():
                 if name not in (*names, *extra):
-                    allowed = f"for a signal of the objective ({', '.join(names)}){smooth}"
                     raise InputError(f"{section}.{name}", value, allowed)
         for index in range(2):
             self.refinement(index)  # refuses weights of signals that there are not

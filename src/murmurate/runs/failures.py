@@ -59,10 +59,10 @@ def describe_failures(experiment: ExperimentConfig, trajectories: Trajectories) 
 
 
 def _counts(validity: Validity) -> dict[str, int]:
-    failed = {name: ~getattr(validity, name) for name in CONDITIONS}
+    failed = {name: ~getattr(validity, name) for name in CONDITIONS if name not in validity.replaced}
     # Where no pattern formed, none could stay.
     failed["stationary"] = validity.formed & ~validity.stationary
-    counts = {text: int(failed[name].sum()) for name, text in CONDITIONS.items()}
+    counts = {CONDITIONS[name]: int(flags.sum()) for name, flags in failed.items()}
     return counts | {f"{name} not reached": int((~reached).sum()) for name, reached in validity.signals.items()}
 
 

@@ -34,6 +34,7 @@ import numpy as np
 
 from murmurate import untrusted
 from murmurate.discovery import STATIONARY_STEPS, Search, Snapshot, policy_name, policy_templates
+from murmurate.discovery.validity import REPLACED
 from murmurate.errors import MAX_INTEGER, RunError, check_path, check_type, one_line, shown
 from murmurate.representation import short_repr
 from murmurate.runs import experiment as configuration
@@ -816,8 +817,9 @@ def _contradiction(summary: Mapping[str, Any]) -> str:
     low, high = (valid if bound is None else bound for bound in summary["valid_interval"])
     if not low - ROUNDING <= valid <= high + ROUNDING:
         return f"valid = {shown(valid)} outside valid_interval = {shown(summary['valid_interval'])}"
+    replaced = {REPLACED[name] for name in summary.get("thresholds", ()) if name in REPLACED}
     for name in _FRACTIONS:
-        if summary[name] is not None and summary[name] < valid - ROUNDING:
+        if name not in replaced and summary[name] is not None and summary[name] < valid - ROUNDING:
             return f"{name} = {shown(summary[name])} below valid = {shown(valid)}"
     base, auxiliary, total, bound = (summary[name] for name in _STEPS)
     slack = STEPS_ROUNDING * (1 + (total or 0))
