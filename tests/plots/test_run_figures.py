@@ -11,7 +11,9 @@ from matplotlib.collections import EllipseCollection, LineCollection
 from PIL import Image
 
 from murmurate import geometry, plots
+from murmurate.discovery import StageConfig
 from murmurate.errors import InputError
+from murmurate.world import Signal
 
 FIGURES = [plots.discovery_figure, plots.training_figure, plots.reward_figure, plots.formation_figure]
 
@@ -163,3 +165,20 @@ def test_saved_small_and_always_the_same(recording, tmp_path, draw):
     with Image.open(tmp_path / "figures" / "one.png") as picture:
         assert picture.width == 1800
     assert sorted(path.name for path in (tmp_path / "figures").iterdir()) == ["one.png", "two.png"]
+
+
+def test_an_objective_of_other_signals_says_which(recording):
+    def rewarded(*names):
+        signals = {name: Signal.registered()[name](weight=0.0 if name == "neighbors" else 1.0) for name in names}
+        stages = {"base": StageConfig(), "auxiliary": StageConfig()}
+        config = replace(recording.experiment, objective="custom", signals=signals, **stages)
+        return replace(recording, experiment=config)
+
+    figure = plots.discovery_figure(rewarded("safety", "neighbors"))
+    assert "10 robots, distributed start, safety" in [text.get_text() for text in figure.texts]
+    training = figure.axes[3].get_legend().get_texts()
+    assert [text.get_text() for text in training] == ["objective / 1"]
+    figure = plots.discovery_figure(rewarded("close", "visible"))
+    assert "10 robots, distributed start, gathering at the origin" in [text.get_text() for text in figure.texts]
+    training = figure.axes[3].get_legend().get_texts()
+    assert [text.get_text() for text in training] == ["objective / 2", "visible"]

@@ -13,6 +13,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
+from murmurate.discovery.problem import GATHERING_SIGNALS
 from murmurate.plots.recording import Episode, Recording, check_recording
 from murmurate.plots.style import (
     INK,
@@ -174,7 +175,9 @@ def describe_swarm(recording: Recording) -> str:
 
 
 def describe_goal(recording: Recording) -> str:
-    """Returns where the objective asks the robots to gather."""
+    """Returns where the objective asks the robots to gather, or else the signals that it rewards."""
+    if not set(GATHERING_SIGNALS) & set(recording.weights):
+        return ", ".join(name for name, weight in recording.weights.items() if weight)
     return "gathering at the origin" if recording.gathering_point else "no predefined point"
 
 
@@ -278,9 +281,10 @@ def _draw_training(ax: Axes, recording: Recording) -> None:
         if "visible" in curve.signals:
             ax.plot(steps, curve.signals["visible"], color=color, linewidth=1.1, linestyle=dashes)
     _finish_training(ax, recording)
-    objective = Line2D([], [], color=INK, linewidth=1.6, label=_objective_label(recording))
-    visible = Line2D([], [], color=INK, linewidth=1.1, linestyle=dashes, label="visible")
-    add_legend(ax, [objective, visible], loc="lower right", framealpha=0.85)
+    drawn = [Line2D([], [], color=INK, linewidth=1.6, label=_objective_label(recording))]
+    if "visible" in recording.weights:
+        drawn.append(Line2D([], [], color=INK, linewidth=1.1, linestyle=dashes, label="visible"))
+    add_legend(ax, drawn, loc="lower right", framealpha=0.85)
 
 
 def _finish_training(ax: Axes, recording: Recording) -> None:
