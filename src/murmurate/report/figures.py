@@ -59,8 +59,10 @@ class Pictures:
 def draw_figures(data: ReportData, pictures: Pictures) -> dict[str, str]:
     """Draws the paper's figures from our runs."""
 
-    def per_run(kind: str, experiments: Sequence[str], figure: Callable[..., Figure], text: str, alt: str) -> list[str]:
-        """Draws one figure for each experiment and preset."""
+    def per_run(
+        kind: str, experiments: Sequence[str], figure: Callable[..., Figure], text: str, text_alone: str, alt: str
+    ) -> list[str]:
+        """Draws one figure for each experiment and preset; `text_alone` is the caption of a list of one policy."""
         drawn = []
         for name in experiments:
             row = EXPERIMENTS[name]
@@ -71,7 +73,8 @@ def draw_figures(data: ReportData, pictures: Pictures) -> dict[str, str]:
                 "target": _TARGETS[row.objective],
             }
             for preset in TRAINING_PRESETS:
-                title = f"Experiment {name}, {preset}: {text.format(**fields)}"
+                chosen = text_alone if data.experiments[name][preset].policies == 1 else text
+                title = f"Experiment {name}, {preset}: {chosen.format(**fields)}"
 
                 def draw(name: str = name, preset: str = preset) -> Figure:
                     return figure(data.recording(name, preset))
@@ -99,6 +102,7 @@ def draw_figures(data: ReportData, pictures: Pictures) -> dict[str, str]:
         _TRAINED,
         plots.training_figure,
         "training of the base policy and of those that follow it.",
+        "training of the base policy, which none follows.",
         "Objective and signals of experiment {name} against environment steps, one part for each policy of the list.",
     )
     rewards = per_run(
@@ -106,6 +110,7 @@ def draw_figures(data: ReportData, pictures: Pictures) -> dict[str, str]:
         _REWARDED,
         plots.reward_figure,
         "cumulative reward in one episode, with the switch from the base to the auxiliary policy.",
+        "cumulative reward in one episode of the base policy, which none follows.",
         "Cumulative reward of experiment {name} over the steps of one episode, and the reward of each step.",
     )
     formation = []
@@ -116,7 +121,8 @@ def draw_figures(data: ReportData, pictures: Pictures) -> dict[str, str]:
             [name],
             plots.formation_figure,
             "{robots} robots, {start} start, {target}. Start, base pattern, final pattern.",
-            "Three panels of experiment {name}: the start, where the base policy came to rest, and the end.",
+            "{robots} robots, {start} start, {target}. Start and final pattern.",
+            "Experiment {name}: the start, where the base policy came to rest if another one follows, and the end.",
         )
     names = list(data.plan.experiments)
     overview = []

@@ -82,23 +82,11 @@ def make(data: ReportData) -> Report:
     parts["subtitle"] = f"{kind} by murmurate {__version__}, seed {data.plan.seed}"
     # A part without content leaves no gap.
     markdown = re.sub(r"\n{3,}", "\n\n", template.substitute(parts))
-    if quick:
-        markdown = _remind(markdown)
     for kind in ("Table", "Figure"):
         pieces = re.split(rf"^\*{kind} {{number}}\.", markdown, flags=re.MULTILINE)
         numbered = (f"*{kind} {number}.{piece}" for number, piece in enumerate(pieces[1:], 1))
         markdown = pieces[0] + "".join(numbered)
     return Report(markdown.rstrip() + "\n", pictures.data, _numbers(data), REMINDER if quick else "")
-
-
-def _remind(markdown: str) -> str:
-    """Puts the reminder of a quick report below the heading of every section that shows a table or a picture."""
-    sections = re.split(r"^(?=##)", markdown, flags=re.MULTILINE)
-    for index, section in enumerate(sections[1:], 1):
-        if "\n| " in section or "\n![" in section:
-            heading, _, rest = section.partition("\n")
-            sections[index] = f"{heading}\n\n> {REMINDER}\n{rest}"
-    return "".join(sections)
 
 
 # The parts of the page, by their names in the template
@@ -118,7 +106,7 @@ def _text(data: ReportData) -> dict[str, str]:
     inconsistencies = [
         f"> Row {row.name} of the paper's table does not add up: {row.base_steps:.2f} base steps and "
         f"{row.auxiliary_steps:.2f} auxiliary steps make {row.summed_steps:.2f}, while its total is printed as "
-        f"{row.total_steps:.2f}. Both are shown."
+        f"{row.total_steps:.2f}. The table has the latter."
         for row in EXPERIMENTS.values()
         if row.total_steps != row.summed_steps
     ]

@@ -85,26 +85,29 @@ def steps_table(experiments: Mapping[str, ByPolicy]) -> str:
     with_gap = any(run.gap is not None for runs in experiments.values() for run in runs.values())
     header = ("experiment", "swarm size", "policy", "base steps", "auxiliary steps", "total steps")
     header += ("kinematic bound", "efficiency", "valid", "contact-free", "inside", *(("gap",) if with_gap else ()))
+    # As wide as the page, where every cell need not say of how many.
+    episodes = {run.episodes for runs in experiments.values() for run in runs.values()}
+    count = _of if len(episodes) > 1 else lambda number, run: NONE if number is None else str(number)
     rows = []
     for name, runs in experiments.items():
         paper = EXPERIMENTS[name]
-        total = f"{paper.total_steps:.2f}"
-        if paper.total_steps != paper.summed_steps:
-            total += f" (sums to {paper.summed_steps:.2f})"
         robots = str(paper.world.robots)
-        cells = (name, robots, "paper", f"{paper.base_steps:.2f}", f"{paper.auxiliary_steps:.2f}", total)
+        steps = (paper.base_steps, paper.auxiliary_steps, paper.total_steps)
+        cells = (name, robots, "paper", *(f"{value:.2f}" for value in steps))
         rows.append([f"*{cell}*" for cell in cells] + [NONE] * (len(header) - len(cells)))
         for run in runs.values():
             steps = (run.base_steps, run.auxiliary_steps, run.total_steps, run.bound_steps)
             kept = [_holding(run, name) for name in ("contact_free", "inside")]
             gap = f"{100 * run.gap / run.best_known:.2f} %" if run.gap is not None and run.best_known else NONE
-            counts = (_of(run.valid, run), *(_of(count, run) for count in kept), *((gap,) if with_gap else ()))
+            counts = (*map(count, (run.valid, *kept), [run] * 3), *((gap,) if with_gap else ()))
             cells = (*(_number(value) for value in steps), _number(run.efficiency, 2), *counts)
             rows.append((name, robots, run.policy, *cells))
     text = (
         "The paper's Table IV, average steps to form a pattern, and below each row ours: means over all episodes, "
         "valid or not."
     )
+    if len(episodes) == 1:
+        text += f" Valid, contact-free and inside: of {episodes.pop()} episodes."
     return _table(text, header, rows, "lrl" + "r" * (len(header) - 3))
 
 
