@@ -24,6 +24,7 @@ from murmurate.world import (
     SmoothVisible,
     WorldConfig,
 )
+from murmurate.world.smooth import _widest_gap, _widest_gap_unsorted
 from oracles import configurations, smooth
 
 RADIUS, SAFE = 1.0, 5.0
@@ -165,3 +166,14 @@ def gradient_of(signal, positions):
 def test_margins_below_zero_are_refused(strategy):
     with pytest.raises(InputError, match="margin"):
         strategy(margin=-0.1)
+
+
+@given(seed=st.integers(0, 2**32 - 1), robots=st.integers(2, 9))
+def test_the_widest_gap_is_the_same_unsorted(seed, robots):
+    """Also where robots stand in one direction, and where some have none."""
+    rng = np.random.default_rng(seed)
+    angle = rng.uniform(-np.pi, np.pi, (robots, robots, 3))
+    angle[..., 1] = np.round(angle[..., 1])
+    none = np.eye(robots, dtype=bool) | (rng.random((robots, robots)) < 0.2)
+    angle = np.where(none[:, :, None], 4 * np.pi, angle)
+    np.testing.assert_allclose(_widest_gap_unsorted(np, angle), _widest_gap(np, angle), atol=1e-12)

@@ -143,12 +143,9 @@ class Exposed(Signal):
         xp = configuration.xp
         dx, dy, _, apart = _pairs(configuration)
         angle = xp.where(apart, xp.atan2(xp.where(apart, dy, 0.0), xp.where(apart, dx, 1.0)), 4 * math.pi)
-        angle = xp.sort(angle, axis=1)
-        # Robots at one place have no direction; the last of those that have is followed by the first, a turn later.
-        first = angle[:, :1] + 2 * math.pi
-        following = xp.concat([angle[:, 1:], xp.broadcast_to(xp.asarray(4 * math.pi), first.shape)], axis=1)
-        gap = xp.where(following >= 4 * math.pi, first, following) - angle
-        widest = xp.max(xp.where(angle >= 4 * math.pi, 0.0, gap), axis=1)
+        # Nothing is sorted in a program for swarms of any size.
+        widest_gap = _widest_gap if isinstance(angle.shape[1], int) else _widest_gap_unsorted
+        widest = widest_gap(xp, angle)
         lack = 1 + self.margin - widest / math.pi
         return 1 - xp.where(lack > 0, lack, 0.0)
 
@@ -229,6 +226,31 @@ def _depths(configuration: Configuration) -> Any:
     turns = xp.reshape(xp.arange(count) * (2 * math.pi / count), (count, *[1] * (positions.ndim - 1)))
     along = xp.cos(turns) * positions[None, :, 0] + xp.sin(turns) * positions[None, :, 1]
     return xp.min(xp.max(along, axis=1, keepdims=True) - along, axis=0) / _ring_radius(configuration)
+
+
+def _widest_gap(xp: Any, angle: Any) -> Any:
+    """Returns the widest gap between the directions in which each robot sees others, 0 where it sees none.
+
+    Args:
+        xp: The namespace of the arrays.
+        angle: From each robot (row) to each other; 4 pi to one that has no direction, as it is at the same place.
+    """
+    angle = xp.sort(angle, axis=1)
+    # The last of those that have a direction is followed by the first, a turn later.
+    first = angle[:, :1] + 2 * math.pi
+    following = xp.concat([angle[:, 1:], xp.broadcast_to(xp.asarray(4 * math.pi), first.shape)], axis=1)
+    gap = xp.where(following >= 4 * math.pi, first, following) - angle
+    return xp.max(xp.where(angle >= 4 * math.pi, 0.0, gap), axis=1)
+
+
+def _widest_gap_unsorted(xp: Any, angle: Any) -> Any:
+    """Returns the same, from all pairs of directions."""
+    first = xp.reshape(xp.arange(angle.shape[1]), (1, -1, *[1] * (angle.ndim - 1)))
+    ahead, higher = angle[:, None] - angle[:, :, None], xp.swapaxes(first, 1, 2) > first
+    is_after = (ahead > 0) | ((ahead == 0) & higher)  # of two in one direction the first, once
+    after = xp.where(is_after, ahead, ahead + 2 * math.pi)
+    gap = xp.min(xp.where(angle[:, None] >= 4 * math.pi, 2 * math.pi, after), axis=2)
+    return xp.max(xp.where(angle >= 4 * math.pi, 0.0, gap), axis=1)
 
 
 def _pairs(configuration: Configuration) -> tuple[Any, Any, Any, Any]:
