@@ -199,3 +199,20 @@ def test_bad_numbers_are_one_line():
         Surround(widest=1)
     with pytest.raises(InputError, match=r"^robots = 17: must be at most 16 with the signal spread"):
         Spread()(configuration(drawn(0, 17, 40.0)))
+
+
+def test_who_comes_first_of_robots_in_one_direction_changes_nothing():
+    """Two robots of a ring stand at one place: exactly, or one of them a hair before or behind the other."""
+    for signal in (EvenAngles(), Surround(distance=9.0)):
+        shares = []
+        for hair in (-1e-9, 0.0, 1e-9):
+            angles = np.array([0.3, 0.3 + hair, 2.0, 2.5, 3.9])
+            ring = 9 * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+            shares.append(np.sort(signal(configuration(ring))))
+        np.testing.assert_allclose(shares[0], shares[1], atol=1e-6)
+        np.testing.assert_allclose(shares[2], shares[1], atol=1e-6)
+
+
+def test_robots_side_by_side_are_not_evenly_spaced():
+    rows = np.array([[0.0, 0.0], [0.0, 3.0], [6.0, 0.0], [6.0, 3.0], [12.0, 0.0], [12.0, 3.0]])
+    assert EvenSpacing(every=True).value(configuration(rows)) < 0.1

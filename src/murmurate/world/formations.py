@@ -9,7 +9,6 @@ import math
 from typing import Any, ClassVar
 
 import equinox as eqx
-import numpy as np
 from jaxtyping import Float
 
 from murmurate.errors import MAX_MAGNITUDE, InputError, check_number, check_type
@@ -34,6 +33,10 @@ PACKINGS = (
 )
 """The greatest least distance of 2, 3, ... 16 points in a square of side 1, best known: circles packed in a square
 (Specht, The best known packings of equal circles in a square; those of up to 14 points are proved)."""
+
+
+CENTRAL = 1e-3
+"""Radii from the middle within which a robot has no direction."""
 
 
 class FormationSignal(Signal):
@@ -64,7 +67,7 @@ class EvenAngles(FormationSignal):
         """Returns 1 - |gap / (2 pi / N) - 1|, of the two gaps beside a robot the one that is farther off."""
         robots = configuration.positions.shape[0]
         x, y = _from_centroid(configuration)
-        before, after = _angular_gaps(configuration.xp, x, y)
+        before, after = _angular_gaps(configuration, x, y)
         off = [abs(gap * robots / (2 * math.pi) - 1) for gap in (before, after)]
         return 1 - configuration.xp.maximum(*off)
 
@@ -119,7 +122,7 @@ class Surround(FormationSignal):
         """Returns 1 - |r / distance - 1| or, if less, 1 - tolerance (gap / (2 pi / N) - 1) / (widest - 1)."""
         xp, positions = configuration.xp, configuration.positions
         x, y = positions[:, 0], positions[:, 1]
-        gap = xp.maximum(*_angular_gaps(xp, x, y)) * positions.shape[0] / (2 * math.pi)
+        gap = xp.maximum(*_angular_gaps(configuration, x, y)) * positions.shape[0] / (2 * math.pi)
         off = abs(_length(xp, x, y) / self.distance - 1)
         return 1 - xp.maximum(off, self.tolerance * xp.maximum(gap - 1, 0) / (self.widest - 1))
 
@@ -145,7 +148,10 @@ class EvenSpacing(FormationSignal):
         mean = (along.max(axis=0) - along.min(axis=0)) / (along.shape[0] - 1)
         mean = xp.maximum(mean, configuration.world.radius)
         ahead = _differences(along)
-        gaps = [xp.where(side > 0, side, xp.inf).min(axis=1) for side in (ahead, -ahead)]
+        itself, higher = _itself(xp, ahead)
+        is_after = (ahead > 0) | ((ahead == 0) & higher)
+        after, before = xp.where(is_after, ahead, xp.inf), xp.where(is_after | itself, xp.inf, -ahead)
+        gaps = [after.min(axis=1), before.min(axis=1)]
         # The first and the last robot have one gap.
         off = [xp.where(xp.isfinite(gap), abs(xp.where(xp.isfinite(gap), gap, mean) / mean - 1), 0.0) for gap in gaps]
         return 1 - xp.maximum(*off)
@@ -169,7 +175,7 @@ class Spread(FormationSignal):
             raise InputError("robots", robots, f"at most {len(PACKINGS) + 1} with the signal spread")
         side = 2 * xp.minimum(xp.asarray(world.half_width), xp.asarray(world.half_height))
         squares = sum(_differences(configuration.positions[:, axis]) ** 2 for axis in (0, 1))
-        nearest = xp.where(_itself(squares), xp.inf, squares).min(axis=1)
+        nearest = xp.where(_itself(xp, squares)[0], xp.inf, squares).min(axis=1)
         return xp.minimum(_root(xp, nearest) / (PACKINGS[robots - 2] * side), 1)
 
 
@@ -178,19 +184,21 @@ def _from_centroid(configuration: Configuration) -> tuple[Any, Any]:
     return tuple(positions[:, axis] - positions[:, axis].mean(axis=0) for axis in (0, 1))  # type: ignore[return-value]
 
 
-def _angular_gaps(xp: Any, x: Any, y: Any) -> tuple[Any, Any]:
+def _angular_gaps(configuration: Configuration, x: Any, y: Any) -> tuple[Any, Any]:
     """Returns the angles from each robot to the one before it and to the one after it, counter-clockwise.
 
-    Each is the least of the angles to all others. (A sort takes several times as long where there are few robots.)
+    Each is the least of the angles to all others. (A sort takes several times as long where there are few robots.) Of
+    robots in one direction, that of the lower number comes first: who comes first changes no gap.
     """
-    somewhere = (x != 0) | (y != 0)  # the gradient of an angle at the origin is not finite
+    xp = configuration.xp
+    # A robot that is next to the middle has no direction: it would follow from how positions are rounded.
+    somewhere = x * x + y * y > (CENTRAL * configuration.world.radius) ** 2
     ahead = _differences(xp.atan2(xp.where(somewhere, y, 0.0), xp.where(somewhere, x, 1.0)))
-    itself = _itself(ahead)
-    before, after = (
-        xp.where(itself, 2 * math.pi, xp.where(side < 0, side + 2 * math.pi, side)).min(axis=1)
-        for side in (-ahead, ahead)
-    )
-    return before, after
+    itself, higher = _itself(xp, ahead)
+    is_after = (ahead > 0) | ((ahead == 0) & higher)
+    after = xp.where(is_after, ahead, ahead + 2 * math.pi)
+    before = xp.where(is_after, 2 * math.pi - ahead, -ahead)
+    return tuple(xp.where(itself, 2 * math.pi, gaps).min(axis=1) for gaps in (before, after))  # type: ignore[return-value]
 
 
 def _along_and_across(configuration: Configuration) -> tuple[Any, Any]:
@@ -210,10 +218,11 @@ def _differences(values: Any) -> Any:
     return values[None] - values[:, None]
 
 
-def _itself(pairs: Any) -> Any:
-    """Returns which of all pairs are a robot and itself."""
-    robots = pairs.shape[0]
-    return np.eye(robots, dtype=bool).reshape((robots, robots) + (1,) * (pairs.ndim - 2))
+def _itself(xp: Any, pairs: Any) -> tuple[Any, Any]:
+    """Returns which of all pairs are a robot and itself, and in which the second one has the higher number."""
+    first = xp.reshape(xp.arange(pairs.shape[0]), (-1, *[1] * (pairs.ndim - 1)))
+    second = xp.swapaxes(first, 0, 1)
+    return first == second, second > first
 
 
 def _length(xp: Any, x: Any, y: Any) -> Any:
