@@ -8,7 +8,7 @@ SEED ?= 0
 CONSTRAINTS ?= constraints.txt
 OUT ?= runs/$(EXPERIMENT)-equivariant-seed$(SEED)
 
-.PHONY: discover test pytest test-nightly lint dist docs figures-docs benchmark results seeds optima pretrained models compare clean
+.PHONY: discover test pytest test-nightly lint dist docs figures-docs benchmark results problems seeds optima pretrained models compare clean
 
 # Compiling every module takes as long as unpacking them. A run imports one in ten, which Python compiles and keeps.
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --constraint $(CONSTRAINTS) --editable
@@ -67,6 +67,9 @@ benchmark: $(VENV)/.dev  ## speed, limits and memory beside other projects (minu
 
 results: $(VENV)/.core  ## trains A-F with each learner and five seeds (hours); writes docs/results.md
 	$(BIN)/python -m benchmarks.results
+
+problems: $(VENV)/.core  ## trains the problems of the package for 4 to 10 robots (an hour); writes docs/problems.md
+	$(BIN)/python -m benchmarks.problems
 
 seeds: $(VENV)/.core  ## trains sixteen seeds of A-F with the default learner (hours); writes docs/discoveries.md
 	$(BIN)/python -m benchmarks.seeds

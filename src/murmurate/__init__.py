@@ -142,7 +142,8 @@ def discover(
     """Trains the policies of an experiment, evaluates them and leaves a run folder.
 
     Args:
-        experiment: A to F (the paper's experiments), a TOML file, or a configuration.
+        experiment: A to F (the paper's experiments), a problem of the package ("circle"), a TOML file, or a
+            configuration.
         out: The run folder, to be created; by default runs/NAME-POLICY-seedSEED.
         resume: Continue what the folder holds; a finished run is only opened.
         on_progress: Called as `on_progress(work, done, total, **values)` before and after every chunk of updates.

@@ -21,6 +21,7 @@ from murmurate.cli.sweep import _parser
 from murmurate.discovery import check_parts
 from murmurate.runs import presets
 from murmurate.runs.grid import Grid
+from murmurate.runs.problems import PROBLEMS
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -140,6 +141,8 @@ class Reader:
     def small_policy(self, arguments: list[str]) -> list[str]:
         """Returns the flags of a small policy: central compiles fastest; others, in swarms of three."""
         hidden = ["--policy.hidden", "8,8"]
+        if arguments[1] in PROBLEMS:  # policies for swarms of any size
+            return [*hidden, "--sizes", "4", "--discovery.max_policies", "1"]
         if "--policy" in arguments:
             return [*hidden, "--world.robots", "3"]
         files = [self.folder / word for word in arguments if word.endswith(".toml")]

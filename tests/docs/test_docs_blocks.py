@@ -7,7 +7,16 @@ import re
 import pytest
 from pages import BY_HAND, DOCS, WRITTEN_BY_PROGRAMS, Reader, copy_run, tokens
 
-SLOW = {"adapters.md", "benchmarks.md", "cookbook.md", "discovery.md", "start.md", "swarms.md", "world.md"}
+SLOW = {
+    "adapters.md",
+    "benchmarks.md",
+    "cookbook.md",
+    "discovery.md",
+    "problems.md",
+    "start.md",
+    "swarms.md",
+    "world.md",
+}
 """Pages whose blocks train, export and compare: the tests of these parts have the same cases."""
 
 SHOWN = [

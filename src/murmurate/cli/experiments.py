@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from murmurate.cli.arguments import Parser
 from murmurate.errors import UsageError, check_choice
 from murmurate.runs.paper import ALLOWED, EXPERIMENTS, check_experiment
+from murmurate.runs.problems import PROBLEMS
 from murmurate.terminal import say, say_text
 
 __all__ = ["run"]
@@ -37,6 +38,12 @@ def run(argv: Sequence[str]) -> int:
     _print_all()
     say()
     say("steps: the paper's. murmurate experiments C writes C out with all its fields; murmurate discover C runs it.")
+    say()
+    width = max(map(len, PROBLEMS))
+    for name, formed in PROBLEMS.items():
+        say(f"{name:{width}}  {formed}")
+    say()
+    say("Problems for 4 to 10 robots: murmurate discover circle")
     return 0
 
 

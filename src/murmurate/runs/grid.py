@@ -23,6 +23,7 @@ from murmurate.runs import config_io, files, presets
 from murmurate.runs.experiment import ExperimentConfig, check_seed
 from murmurate.runs.folder import FolderState, RunFolder
 from murmurate.runs.paper import EXPERIMENTS
+from murmurate.runs.problems import PROBLEMS
 
 __all__ = ["MAX_RUNS", "Grid", "run_name"]
 
@@ -93,7 +94,7 @@ class Grid:
         """Returns every combination of experiments, training presets, values of fields, and seeds.
 
         Args:
-            experiments: A to F, TOML files, or experiments.
+            experiments: A to F, problems of the package, TOML files, or experiments.
             learners: Training presets by name; None for that of the experiment's policy.
             seeds: How many seeds, from 0 on, or which; None for that of each experiment.
             fields: Fields to replace in all experiments, by dotted path.
@@ -340,12 +341,12 @@ def _list(value: Any, where: str, example: str) -> list[Any]:
 
 
 def _experiment(word: Any, folder: Path, where: str) -> str:
-    """Returns an experiment of the paper, or the path of a TOML file relative to the sweep's."""
-    if word in EXPERIMENTS:
+    """Returns an experiment of the paper, a problem, or the path of a TOML file relative to the sweep's."""
+    if word in EXPERIMENTS or word in PROBLEMS:
         return word
     if isinstance(word, str) and word.endswith(".toml") and (folder / word).is_file():
         return str(folder / word)
-    allowed = f"one of {', '.join(EXPERIMENTS)}, or a TOML file, relative to the sweep's"
+    allowed = f"one of {', '.join((*EXPERIMENTS, *PROBLEMS))}, or a TOML file, relative to the sweep's"
     raise InputError(where, word, allowed + suggestion(str(word).upper(), EXPERIMENTS))
 
 

@@ -11,6 +11,7 @@ from typing import Any, Literal
 
 from murmurate.errors import InputError, suggestion
 from murmurate.representation import short_repr
+from murmurate.runs.problems import PROBLEMS
 from murmurate.world import WorldConfig
 
 __all__ = ["ALLOWED", "EXPERIMENTS", "NOISE", "PaperExperiment", "check_experiment"]
@@ -96,17 +97,17 @@ EXPERIMENTS = {row.name: row for row in _ROWS}
 """The experiments by name."""
 
 
-ALLOWED = f"{', '.join(EXPERIMENTS)}, or a TOML file"
+ALLOWED = f"{', '.join((*EXPERIMENTS, *PROBLEMS))}, or a TOML file"
 """What names an experiment, in words; help and errors say the same."""
 
 
 def check_experiment(word: str) -> None:
-    """Checks that a word names an experiment of the paper or an existing TOML file.
+    """Checks that a word names an experiment of the paper, a problem of the package or an existing TOML file.
 
     Raises:
         InputError: It does neither.
     """
-    if word in EXPERIMENTS:
+    if word in EXPERIMENTS or word in PROBLEMS:
         return
     is_file = Path(word).is_file()
     if word.endswith(".toml"):
@@ -117,5 +118,5 @@ def check_experiment(word: str) -> None:
         raise InputError("experiment", word, f"an existing TOML file: {reason}")
     if is_file:
         raise InputError("experiment", word, f"one of {ALLOWED}, whose name ends in .toml")
-    hint = suggestion(word.upper(), EXPERIMENTS)
+    hint = suggestion(word.upper(), EXPERIMENTS) or suggestion(word.lower(), PROBLEMS)
     raise InputError("experiment", word, f"one of {ALLOWED}{hint}")

@@ -16,6 +16,7 @@ from murmurate.policies import CentralPolicy, ClearanceShield, EquivariantPolicy
 from murmurate.runs import config_io
 from murmurate.runs.experiment import ExperimentConfig, make_importer, read_toml
 from murmurate.runs.paper import EXPERIMENTS, NOISE, PaperExperiment, check_experiment
+from murmurate.runs.problems import PROBLEMS, problem_file
 from murmurate.world import OBJECTIVES, ScatteredStart, Start, WorldConfig
 
 __all__ = [
@@ -177,8 +178,8 @@ def resolve(
     """Puts an experiment together.
 
     Args:
-        experiment: A to F, a TOML file whose fields replace those of a scattered ten-robot experiment, or a
-            configuration.
+        experiment: A to F, a problem of the package ("circle"; see `murmurate experiments`), a TOML file whose fields
+            replace those of a scattered ten-robot experiment, or a configuration.
         *overlays: Fields to replace, as nested dictionaries; later ones win.
         learner: The training preset; by default that of the policy.
         folders: Folders in which modules of "module:Class" are looked for, after that of the TOML file.
@@ -192,6 +193,7 @@ def resolve(
         return config_io.replaced(experiment, config_io.merged({}, *overlays), importer=importer)
     check_experiment(str(experiment))
     named = str(experiment) in EXPERIMENTS
+    experiment = problem_file(str(experiment)) if experiment in PROBLEMS else experiment
     data = config_io.merged({} if named else read_toml(experiment), *overlays)
     importer = make_importer(data, None if named else Path(experiment).parent)
     importer = replace(importer, folders=(*importer.folders, *folders))
@@ -216,10 +218,11 @@ def resolve(
 def command(config: ExperimentConfig) -> str:
     """Returns the command that discovers an experiment: a flag for each field that is not as in the paper's experiment.
 
-    An experiment that is none of the paper's is in a file of its name.
+    An experiment that is none of the paper's is a problem of the package, or in a file of its name.
     """
     if config.name not in EXPERIMENTS:
-        return shlex.join(["murmurate", "discover", f"{config.name}.toml", "--seed", str(config.seed)])
+        source = config.name if config.name in PROBLEMS else f"{config.name}.toml"
+        return shlex.join(["murmurate", "discover", source, "--seed", str(config.seed)])
     policy = config.policy.name
     arguments = ["murmurate", "discover", config.name, "--seed", str(config.seed)]
     arguments += ["--policy", policy] if policy != DEFAULT_LEARNER else []
