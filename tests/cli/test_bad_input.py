@@ -42,7 +42,7 @@ def contents(folder):
     ("arguments", "line"),
     [
         ("discover", "the following arguments are required: EXPERIMENT"),
-        ("discover G", "experiment = 'G': must be one of A, B, C, D, E, F, or a TOML file"),
+        ("discover G", "experiment = 'G': must be one of A, B, C, D, E, F, circle, convex, surround, or a TOML file"),
         ("discover --seed 1 G", "experiment = 'G': must be one of"),
         ("discover c", "or a TOML file; did you mean C?"),
         ("discover missing.toml", "experiment = 'missing.toml': must be an existing TOML file: no such file"),
@@ -95,7 +95,10 @@ def contents(folder):
             "discover C --world.max_speed 500",
             "world.max_speed = 500.0: must be at most 90, the longer side of the world: no step inside it is longer",
         ),
-        ("experiments G", "experiment = 'G': must be one of A, B, C, D, E, F, or a TOML file"),
+        (
+            "experiments G",
+            "experiment = 'G': must be one of A, B, C, D, E, F, circle, convex, surround, or a TOML file",
+        ),
         ("experiments --learner best", "--learner is for one experiment: give its name"),
         ("experiments A --learner best", "learner = 'best': must be one of"),
         ("compare --workers 0", "--workers = 0: must be an integer >= 1"),
@@ -166,9 +169,9 @@ def test_a_sweep_without_workers(refused, tmp_path, options):
 
 def test_an_experiment_is_a_name_or_a_toml_file(refused, tmp_path):
     (tmp_path / "mine").write_text("")
-    assert "experiment = 'mine': must be one of A, B, C, D, E, F, or a TOML file, whose name ends in .toml" in refused(
-        "discover", "mine", files=1
-    )
+    line = refused("discover", "mine", files=1)
+    assert line.startswith("experiment = 'mine': must be one of A, B, C, D, E, F, circle, ")
+    assert line.rstrip().endswith(", or a TOML file, whose name ends in .toml")
     (tmp_path / "dir.toml").mkdir()
     assert "must be an existing TOML file: it is a folder" in refused("discover", "dir.toml", files=2)
 

@@ -300,7 +300,7 @@ def test_the_help_of_experiments_names_what_its_errors_name(capsys):
     text = " ".join(capsys.readouterr().out.split())
     assert main(["experiments", "G"]) == 2
     allowed = capsys.readouterr().err.partition("must be one of ")[2].strip()
-    assert allowed == "A, B, C, D, E, F, or a TOML file"
+    assert allowed == "A, B, C, D, E, F, circle, convex, surround, or a TOML file"
     assert allowed in text
     assert main(["experiments", "A", "--learner", "best"]) == 2
     allowed = capsys.readouterr().err.partition("must be one of ")[2].strip()

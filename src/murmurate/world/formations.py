@@ -32,7 +32,7 @@ PACKINGS = (
     *(0.3982073102, 0.3887301263, 0.3660960077, 0.3489152604, 0.3410813774, 0.3333333333),
 )
 """The greatest least distance of 2, 3, ... 16 points in a square of side 1, best known: circles packed in a square
-(Specht, The best known packings of equal circles in a square; those of up to 14 points are proved)."""
+(Specht, The best known packings of equal circles in a square)."""
 
 
 CENTRAL = 1e-3
