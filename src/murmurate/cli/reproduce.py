@@ -85,7 +85,7 @@ def reproduce(plan: Plan, runs: Path, out: Path, options: Namespace, begun: floa
 
 
 def _executor(workers: int | None) -> Executor:
-    """Returns where runs are trained. On a CPU, a run alone leaves all cores but one idle most of the time."""
+    """Returns where runs are trained. On a CPU, runs take less time side by side than one after another."""
     import jax
 
     from murmurate.runs.execute import InProcess, LocalProcesses

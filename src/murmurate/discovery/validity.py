@@ -5,7 +5,7 @@ Everything is computed in float64 from recorded positions alone; the sides of th
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -20,7 +20,15 @@ from murmurate.representation import short_repr
 from murmurate.types import Trajectories
 from murmurate.world import Configuration, Signal, WorldConfig, check_world
 
-__all__ = ["REPLACED", "Validity", "bound_steps", "check_pattern", "check_validity", "contact_free_and_inside"]
+__all__ = [
+    "REPLACED",
+    "Validity",
+    "bound_steps",
+    "check_pattern",
+    "check_validity",
+    "contact_free_and_inside",
+    "replaced_conditions",
+]
 
 Flags = Bool[np.ndarray, " episodes"]
 
@@ -71,12 +79,17 @@ class Validity:
     @property
     def replaced(self) -> frozenset[str]:
         """The conditions that a threshold replaces."""
-        return frozenset(condition for signal, condition in REPLACED.items() if signal in self.signals)
+        return replaced_conditions(self.signals)
 
     @property
     def valid(self) -> Flags:
         """Whether all of them hold: a valid pattern."""
         return self.formed & self.stationary
+
+
+def replaced_conditions(signals: Iterable[str]) -> frozenset[str]:
+    """Returns the conditions of a valid pattern that thresholds of signals replace, by the signals' names."""
+    return frozenset(REPLACED[name] for name in signals if name in REPLACED)
 
 
 def check_validity(
@@ -154,7 +167,7 @@ def _stationary(
     contact_free, inside = contact_free_and_inside(moves, world)
     drift = np.linalg.norm(moves[:, -1].astype(float) - moves[:, 0], axis=-1).max(axis=-1)
     stationary = formed & contact_free & inside & (drift <= DRIFT * world.radius)
-    replaced = {REPLACED[name] for name in thresholds if name in REPLACED}
+    replaced = replaced_conditions(thresholds)
     for step in range(1, moves.shape[1]):
         changed = np.flatnonzero(stationary & (moves[:, step] != moves[:, step - 1]).any(axis=(1, 2)))
         if len(changed):

@@ -34,7 +34,7 @@ import numpy as np
 
 from murmurate import untrusted
 from murmurate.discovery import STATIONARY_STEPS, Search, Snapshot, policy_name, policy_templates
-from murmurate.discovery.validity import REPLACED
+from murmurate.discovery.validity import replaced_conditions
 from murmurate.errors import MAX_INTEGER, RunError, check_path, check_type, one_line, shown
 from murmurate.representation import short_repr
 from murmurate.runs import experiment as configuration
@@ -817,7 +817,7 @@ def _contradiction(summary: Mapping[str, Any]) -> str:
     low, high = (valid if bound is None else bound for bound in summary["valid_interval"])
     if not low - ROUNDING <= valid <= high + ROUNDING:
         return f"valid = {shown(valid)} outside valid_interval = {shown(summary['valid_interval'])}"
-    replaced = {REPLACED[name] for name in summary.get("thresholds", ()) if name in REPLACED}
+    replaced = replaced_conditions(summary.get("thresholds", ()))
     for name in _FRACTIONS:
         if name not in replaced and summary[name] is not None and summary[name] < valid - ROUNDING:
             return f"{name} = {shown(summary[name])} below valid = {shown(valid)}"

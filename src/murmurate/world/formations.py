@@ -187,8 +187,8 @@ def _from_centroid(configuration: Configuration) -> tuple[Any, Any]:
 def _angular_gaps(configuration: Configuration, x: Any, y: Any) -> tuple[Any, Any]:
     """Returns the angles from each robot to the one before it and to the one after it, counter-clockwise.
 
-    Each is the least of the angles to all others. (A sort takes several times as long where there are few robots.) Of
-    robots in one direction, that of the lower number comes first: who comes first changes no gap.
+    Each is the least of the angles to all others: programs for swarms of any size cannot sort. Of robots in one
+    direction, that of the lower number comes first.
     """
     xp = configuration.xp
     # A robot that is next to the middle has no direction: it would follow from how positions are rounded.
