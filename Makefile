@@ -8,7 +8,7 @@ SEED ?= 0
 CONSTRAINTS ?= constraints.txt
 OUT ?= runs/$(EXPERIMENT)-equivariant-seed$(SEED)
 
-.PHONY: discover test pytest test-nightly lint dist docs figures-docs benchmark results problems seeds optima pretrained models compare clean
+.PHONY: discover test pytest test-nightly lint dist docs figures-docs benchmark results problems formations seeds optima pretrained models compare clean
 
 # Compiling every module takes as long as unpacking them. A run imports one in ten, which Python compiles and keeps.
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --constraint $(CONSTRAINTS) --editable
@@ -70,6 +70,9 @@ results: $(VENV)/.core  ## trains A-F with each learner and five seeds (hours); 
 
 problems: $(VENV)/.core  ## trains the problems of the package for 4 to 10 robots (an hour); writes docs/problems.md
 	$(BIN)/python -m benchmarks.problems
+
+formations: $(VENV)/.core  ## trains A-F with policies that remember formations (an hour); writes docs/formations.md
+	$(BIN)/python -m benchmarks.formations
 
 seeds: $(VENV)/.core  ## trains sixteen seeds of A-F with the default learner (hours); writes docs/discoveries.md
 	$(BIN)/python -m benchmarks.seeds

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import signal
+import sys
 import threading
 from collections.abc import Iterator
 from typing import Any
@@ -32,9 +33,18 @@ def sigterm_as_interrupt() -> Iterator[None]:
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # not one that the user has chosen, nor ignored
         requests.append(signal.SIGINT)
     before = {request: signal.signal(request, _interrupt) for request in requests}
+    hook = sys.unraisablehook
+
+    def report(dropped: sys.UnraisableHookArgs) -> None:
+        # A request that Python drops is not lost: nobody needs to read where it came.
+        if not issubclass(dropped.exc_type, KeyboardInterrupt):
+            hook(dropped)
+
+    sys.unraisablehook = report
     try:
         yield
     finally:
+        sys.unraisablehook = hook
         for request, handler in before.items():
             signal.signal(request, handler)
         if _interrupt not in before.values():

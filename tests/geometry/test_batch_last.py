@@ -35,7 +35,9 @@ def same(actual, expected):
 
 
 def test_every_kernel_is_here():
-    tools = {"as_floating", "fold", "hull_neighbors", "hull_shares", "sum_over_third_robots", "sum_terms"}
+    tools = {
+        "as_floating", "fold", "hull_neighbors", "hull_shares", "other_robots", "sum_over_third_robots", "sum_terms",
+    }  # fmt: skip
     of_views = {"stands_between"}
     assert set(KERNELS) == set(_batch_last.__all__) - tools - of_views
 

@@ -7,7 +7,7 @@ from math import acos, asin, atan2, cos, hypot, log1p, pi, sin, tan
 import numpy as np
 
 
-def smooth_visible(positions: np.ndarray, radius: float, margin: float) -> float:
+def smooth_visible(positions: np.ndarray, radius: float, margin: float, softness: float = 0.03) -> float:
     """The swarm's share: the logarithm of how much of the others the nearer ones hide or nearly hide, on average."""
     robots, hidden = len(positions), 0.0
     for k in range(robots):
@@ -17,7 +17,7 @@ def smooth_visible(positions: np.ndarray, radius: float, margin: float) -> float
                 if len({i, j, k}) < 3:
                     continue
                 lack = _lack(positions[i] - positions[k], positions[j] - positions[k], radius, margin)
-                total += lack**2 / (lack + 0.03)
+                total += lack**2 / (lack + softness)
             hidden += total / (1 + total) / robots
     return 1 - log1p(10 / 3 * hidden) / log1p(10 / 3 * (robots - 1))
 
@@ -27,6 +27,24 @@ def smooth_safety(positions: np.ndarray, safe_distance: float, margin: float) ->
     others = [(i, j) for i in range(len(positions)) for j in range(len(positions)) if i != j]
     lack = {pair: 1 + margin - hypot(*(positions[pair[0]] - positions[pair[1]])) / safe_distance for pair in others}
     return [1 - sum(max(0.0, lack[k, i]) ** 2 for k, i in others if k == n) for n in range(len(positions))]
+
+
+def soft_safety(positions: np.ndarray, safe_distance: float, margin: float, softness: float) -> list[float]:
+    """Each robot's share: what lacks to the safe distance and its margin, by its square below the softness."""
+    shares = []
+    for k, p in enumerate(positions):
+        lacks = [1 + margin - hypot(*(p - q)) / safe_distance for i, q in enumerate(positions) if i != k]
+        shares.append(1 - sum(lack**2 / (lack + softness) for lack in lacks if lack > 0))
+    return shares
+
+
+def smooth_neighbors(positions: np.ndarray, scan_radius: float, softness: float) -> list[float]:
+    """Each robot's share: how far others are beyond the scan radius, by its square below the softness."""
+    shares = []
+    for k, p in enumerate(positions):
+        beyond = [hypot(*(p - q)) / scan_radius - 1 for i, q in enumerate(positions) if i != k]
+        shares.append(1 - sum(excess**2 / (excess + softness) for excess in beyond if excess > 0))
+    return shares
 
 
 def compact(positions: np.ndarray, ring_radius: float) -> list[float]:

@@ -74,7 +74,7 @@ fields.world.max_speed = 0.125
         ('experiments = ["A"]\nseeds = [-1]', "-1"),
         ('experiments = ["a"]', "did you mean A"),
         ('experiments = ["none.toml"]', "a TOML file, relative to the sweep's"),
-        ('experiments = ["A"]\nlearners = ["centrale"]', "must be one of equivariant, central"),
+        ('experiments = ["A"]\nlearners = ["centrale"]', "must be one of equivariant, formation, central"),
         ('experiment = ["A"]', "did you mean experiments"),
         ('experiments = ["A"]\n[world]\nrobots = 3', "fields of the experiment go under [fields]"),
         ('experiments = ["A"]\n[fields.world]\nrobot = 3', "did you mean robots"),

@@ -53,7 +53,6 @@ class Finalised:
         signal.raise_signal(signal.SIGTERM)
 
 
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 def test_no_request_is_lost_in_a_finaliser(tmp_path, capsys, monkeypatch):
     toml = write_toml(tmp_path / "long.toml", base=LONG)
     report = train._report
@@ -69,7 +68,6 @@ def test_no_request_is_lost_in_a_finaliser(tmp_path, capsys, monkeypatch):
     raise_if_interrupted()
 
 
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 def test_the_outermost_block_ends_a_request():
     with sigterm_as_interrupt():
         with sigterm_as_interrupt():

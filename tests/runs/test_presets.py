@@ -129,7 +129,7 @@ def test_a_toml_file_says_what_differs(tmp_path):
         ({"policy": {"use": "paper"}}, None, "policy.use = 'paper': must be one of"),
         ({"policy": {"kind": []}}, None, "policy.use = []: must be one of"),
         ({"policy": 3}, None, "policy = 3: must be a table"),
-        ({}, "best", "learner = 'best': must be one of equivariant, central, local, paper"),
+        ({}, "best", "learner = 'best': must be one of equivariant, formation, central, local, paper"),
         ({"base": {"weights": {"visible": -1.0}}}, None, "base.weights.visible = -1.0: must be"),
     ],
 )

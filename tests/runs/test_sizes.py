@@ -136,7 +136,7 @@ def test_a_margin_makes_robots_larger_while_they_learn_and_nowhere_else():
     own_eyes = {"policy": {"use": "local", "hidden": [8, 4]}, "sizes": [], "base": {"margin": 0.25}}
     config = tiny(**ANY | own_eyes)
     search = Search(config)
-    env = search.stage(search.begin()).environment(0)
+    env = search.stage(search.begin()).environment(0, None)
     trained, world = env.config, config.world
     assert (float(trained.radius), float(trained.safe_distance)) == (1.25 * world.radius, 1.25 * world.safe_distance)
     eyes, executed = seeing(env), seeing(build_cascade(config, ()).env)

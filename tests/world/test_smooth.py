@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from dataclasses import replace
 
 import jax
@@ -20,21 +23,22 @@ from murmurate.world import (
     Convex,
     Exposed,
     Occluders,
+    SmoothNeighbors,
     SmoothSafety,
     SmoothVisible,
     WorldConfig,
 )
-from murmurate.world.smooth import _widest_gap, _widest_gap_unsorted
+from murmurate.world.smooth import Soft, _widest_gap, _widest_gap_unsorted
 from oracles import configurations, smooth
 
-RADIUS, SAFE = 1.0, 5.0
-SIGNALS = [SmoothVisible(), SmoothSafety(), Compact(), Centered(), Convex(), Exposed(), Occluders()]
+RADIUS, SAFE, SCAN = 1.0, 5.0, 120.0
+SIGNALS = [SmoothVisible(), SmoothSafety(), SmoothNeighbors(), Compact(), Centered(), Convex(), Exposed(), Occluders()]
 named = pytest.mark.parametrize("signal", SIGNALS, ids=lambda signal: signal.name)
 
 
 def configuration(positions):
     world = WorldConfig(
-        robots=positions.shape[0], half_width=40.0, half_height=40.0, radius=RADIUS, scan_radius=120.0,
+        robots=positions.shape[0], half_width=40.0, half_height=40.0, radius=RADIUS, scan_radius=SCAN,
         safe_distance=SAFE, max_speed=1.0,
     )  # fmt: skip
     return Configuration(positions, world)
@@ -55,6 +59,7 @@ def test_signals_are_the_oracles(seed, robots, side):
     expected = {
         "smooth_visible": [smooth.smooth_visible(positions, RADIUS, 0.1)] * robots,
         "smooth_safety": smooth.smooth_safety(positions, SAFE, 0.1),
+        "smooth_neighbors": smooth.smooth_neighbors(positions, SCAN, 0.03),
         "compact": smooth.compact(positions, radius),
         "centered": [2 - np.hypot(*p) / radius for p in positions],
         "convex": smooth.convex(positions, radius),
@@ -64,6 +69,48 @@ def test_signals_are_the_oracles(seed, robots, side):
     for signal in SIGNALS:
         shares = signal(configuration(positions[:, :, None]))[:, 0]
         np.testing.assert_allclose(shares, expected[signal.name], rtol=1e-9, atol=1e-9, err_msg=signal.name)
+
+
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    robots=st.integers(2, 8),
+    softness=st.sampled_from([1e-3, 0.1, 1.0]),
+    stretch=st.sampled_from([1.0, 12.0]),
+)
+def test_softened_signals_are_the_oracles(seed, robots, softness, stretch):
+    positions = stretch * drawn(seed, robots, 9.0)
+    expected = {
+        "smooth_visible": [smooth.smooth_visible(positions, RADIUS, 0.1, softness)] * robots,
+        "smooth_safety": smooth.soft_safety(positions, SAFE, 0.1, softness),
+        "smooth_neighbors": smooth.smooth_neighbors(positions, SCAN, softness),
+    }
+    soft = [signal for signal in SIGNALS if isinstance(signal, Soft)]
+    assert {signal.name for signal in soft} == set(expected)
+    for signal in soft:
+        # A number of Python takes another way through the program than an array does.
+        for given_as in (softness, np.asarray(softness)):
+            shares = signal.softened(configuration(positions[:, :, None]), given_as)[:, 0]
+            np.testing.assert_allclose(shares, expected[signal.name], rtol=1e-9, atol=1e-9, err_msg=signal.name)
+
+
+def test_no_robot_is_apart_from_itself_where_a_compiler_rounds_one_of_two_products():
+    """With all optimisations, which tests do without, in a process of its own."""
+    program = """
+import jax, jax.numpy as jnp, numpy as np
+from murmurate.policies.features import offsets_between
+from murmurate.world import Configuration, Exposed, Occluders, SmoothSafety, SmoothVisible, WorldConfig
+points = 0.7 * jax.random.normal(jax.random.key(0), (24, 6, 2))
+def configuration(points, scale=2.8):
+    return Configuration(scale * jnp.moveaxis(points, 0, -1), WorldConfig(robots=6))
+def values(points):
+    return [signal.value(configuration(points)) for signal in (SmoothSafety(), SmoothVisible(), Exposed(), Occluders())]
+for now, later in zip(values(points), jax.jit(values)(points)):
+    np.testing.assert_allclose(later, now, rtol=1e-4, atol=1e-4)
+apart = jax.jit(lambda points: offsets_between(configuration(points).positions)[2])(points)
+assert not np.asarray(apart)[np.eye(6, dtype=bool)].any()
+"""
+    environment = {name: value for name, value in os.environ.items() if name != "XLA_FLAGS"}
+    subprocess.run([sys.executable, "-c", program], env=environment, check=True)
 
 
 @given(seed=st.integers(0, 2**32 - 1))

@@ -30,6 +30,8 @@ def run(argv: Sequence[str]) -> int:
     parser.add_argument("--tolerance", type=float, metavar="NUMBER", help=tolerance)
     parser.add_argument("--no-scaling", action="store_true", help="patterns of different size are different")
     parser.add_argument("--no-reflection", action="store_true", help="mirror images are different patterns")
+    text = "the patterns that their policies remember, instead of those that their evaluations ended in"
+    parser.add_argument("--remembered", action="store_true", help=text)
     text = "import the modules that the runs name, which executes them"
     parser.add_argument("--trust", action="store_true", help=text)
     parser.add_argument("--quiet", action="store_true", help="do not show the progress")
@@ -39,13 +41,17 @@ def run(argv: Sequence[str]) -> int:
     from murmurate.analysis import Catalogue
     from murmurate.cli.progress import Progress
     from murmurate.runs import catalogues
+    from murmurate.runs.run import Run
 
     out = Path(options.out)
     catalogues.check_target(out)
     findings = []
     with Progress(quiet=options.quiet) as progress:
         for index, word in enumerate(options.runs, 1):
-            findings += catalogues.read_findings(word, options.trust)
+            if options.remembered:
+                findings += Run.open(word, options.trust).remembered().findings
+            else:
+                findings += catalogues.read_findings(word, options.trust)
             patterns = "valid pattern" if len(findings) == 1 else "valid patterns"
             progress.update("runs read", index, len(options.runs), found=f"{len(findings)} {patterns}")
     if not findings:

@@ -12,7 +12,7 @@ from murmurate.terminal import say, say_text
 
 __all__ = ["run"]
 
-LEARNERS = ("equivariant", "central", "local", "paper")
+LEARNERS = ("equivariant", "formation", "central", "local", "paper")
 """The training presets, spelled out because they are known only once JAX is loaded."""
 
 HEADER = ("", "robots", "gathers", "start", "X = Y", "R", "scan", "safe", "speed", "steps")

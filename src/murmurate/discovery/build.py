@@ -118,8 +118,9 @@ def check_parts(problem: Problem) -> None:
     check_problem(problem)
     world = build_world(problem)
     for index in range(min(2, problem.discovery.max_policies)):
-        if any(LEARNERS[learner].needs_gradients for learner in problem.stage(index).learners):
-            _check_gradients(problem, index, world)
+        for learner in problem.stage(index).learners:
+            if LEARNERS[learner].needs_gradients:
+                _check_gradients(problem, index, learner, world)
     robots, batch = problem.world.robots, 2
     each, moves, whole = _floats(robots, batch), _floats(robots, 2, batch), _floats(batch)
     positions = jnp.moveaxis(jnp.asarray(draw_starts(world.start, prng.key(problem.seed), batch, world.config)), 0, -1)
@@ -159,15 +160,15 @@ STRETCHES = ((1.0, 1.0), (0.3, 0.3), (0.1, 0.1), (10.0, 10.0), (1.0, 0.02))
 line or far apart."""
 
 
-def _check_gradients(problem: Problem, index: int, world: World) -> None:
+def _check_gradients(problem: Problem, index: int, learner: str, world: World) -> None:
     """Checks that the signals that a policy is refined by have gradients.
 
     A signal that counts changes from one configuration to the next, but its gradient is 0 wherever it is defined.
     """
     drawn = jnp.moveaxis(jnp.asarray(draw_starts(world.start, prng.key(problem.seed), 4, world.config)), 0, -1)
     positions = jnp.concatenate([drawn * jnp.asarray(stretch)[:, None] for stretch in STRETCHES], axis=-1)
-    signals, weights = problem.refinement(index)
-    section = f"{'base' if index == 0 else 'auxiliary'}.gradients.weights"
+    signals, weights = problem.refinement(index, learner)
+    section = f"{'base' if index == 0 else 'auxiliary'}.{learner}.weights"
     for name, signal in signals.items():
 
         def measure(positions: Array, signal: Signal = signal) -> Array:

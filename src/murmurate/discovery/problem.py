@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 from murmurate.discovery.rest import RestRule
 from murmurate.discovery.validity import REPLACED
 from murmurate.errors import MAX_INTEGER, MAX_MAGNITUDE, InputError, check_choice, check_number, check_type
-from murmurate.learning import LEARNERS, GradientConfig, LearnerConfig, PPOConfig
+from murmurate.learning import LEARNERS, GoalConfig, GradientConfig, LearnerConfig, PPOConfig
 from murmurate.policies import NoShield, Policy, Shield
 from murmurate.representation import short_repr
 from murmurate.world import (
@@ -48,11 +48,13 @@ class StageConfig:
     Attributes:
         weights: Weights of the signals in this policy's reward, by name: of those of the objective, where gathering
             stands for close (C1) or nclose (C2), and of the package's smooth signals beside them.
-        learner: ppo, which discovers, or gradients, which refines what `--from` or `warm_start` begins with.
-        refine: Whether gradients refine the policy that ppo has discovered, from the same starts; with the learner
-            gradients it changes nothing.
+        learner: ppo, which discovers; gradients, which refines what `--from` or `warm_start` begins with; or goals,
+            which searches the formations of a policy that remembers some.
+        refine: Whether gradients refine the policy that ppo or goals has discovered, from the same starts; with the
+            learner gradients it changes nothing.
         ppo: Numbers of the learner ppo; its discount is the paper's F_gamma at this policy.
         gradients: Numbers of the learner gradients; it has weights, margins and a cost of motion of its own.
+        goals: Numbers of the learner goals; it has weights and margins of its own.
         horizon: Steps after which a training episode is truncated.
         repeat: Steps for which each action is kept up in training; the trained policy acts at every step.
         noise: Half-width of the uniform noise on each restart configuration, in robot radii (auxiliary only).
@@ -78,6 +80,7 @@ class StageConfig:
     refine: bool = False
     ppo: PPOConfig = field(default_factory=PPOConfig)
     gradients: GradientConfig = field(default_factory=GradientConfig)
+    goals: GoalConfig = field(default_factory=GoalConfig)
     horizon: int = 120
     repeat: int = 1
     noise: float = 0.25
@@ -257,13 +260,17 @@ class Problem:
         weights.update((name, given[name]) for name in beside)
         return {**signals, **beside}, weights
 
-    def refinement(self, index: int) -> tuple[dict[str, Signal], dict[str, float]]:
-        """Returns the signals, with their weights, that the learner gradients improves the policy at a place by.
+    def refinement(self, index: int, learner: str = "gradients") -> tuple[dict[str, Signal], dict[str, float]]:
+        """Returns the signals, with their weights, that a learner with weights of its own improves a policy by.
+
+        Args:
+            index: Place of the policy in the list.
+            learner: gradients or goals.
 
         Raises:
             InputError: There is no signal of a name, or it has no margin.
         """
-        numbers, section = self.stage(index).gradients, f"{'base' if index == 0 else 'auxiliary'}.gradients"
+        numbers, section = getattr(self.stage(index), learner), f"{'base' if index == 0 else 'auxiliary'}.{learner}"
         given, margins = dict(numbers.weights), numbers.margins
         gathering = given.pop(GATHERING, None)
         if gathering is not None:

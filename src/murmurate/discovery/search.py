@@ -210,9 +210,9 @@ def advance_together(
     for search, snapshot, stage, train, result in zip(searches, snapshots, stages, before, results, strict=True):
         train, rows = stage.after_chunk(train, *result)
         if stage.is_done(train) and stage.is_last_phase:
-            advanced.append((search.conclude(snapshot, train.result), rows))
+            advanced.append((search.conclude(snapshot, stage.result(train)), rows))
         elif stage.is_done(train):
-            advanced.append((replace(snapshot, train=None, unrefined=train.result), rows))
+            advanced.append((replace(snapshot, train=None, unrefined=stage.result(train)), rows))
         else:
             advanced.append((replace(snapshot, train=train), rows))
     return advanced

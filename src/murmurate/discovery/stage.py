@@ -16,14 +16,17 @@ from murmurate import prng
 from murmurate.discovery.build import build_environment, build_networks
 from murmurate.discovery.curriculum import Curriculum
 from murmurate.discovery.problem import Problem
+from murmurate.discovery.validity import check_pattern, replaced_conditions
 from murmurate.learning import LEARNERS, Chunk, Learner, TrainState
 from murmurate.world import (
     ActionRepeat,
+    Configuration,
+    GoalValue,
     HardStart,
     JitteredStart,
     MixtureStart,
     MotionCost,
-    ShortfallReward,
+    Objective,
     Start,
     SurroundedStart,
     SymmetricStart,
@@ -73,12 +76,14 @@ def training_world(problem: Problem, index: int, start: Start, sigma: Float[Arra
     return with_array_leaves(World.create(config, start, signals, weights, horizon, per_robot))
 
 
-def refinement_world(problem: Problem, index: int, start: Start, sigma: Float[Array, "sigma robots 2"]) -> World:
-    """Builds the world that a policy is refined in by gradients; for the arguments see `training_world`.
+def refinement_world(
+    problem: Problem, index: int, start: Start, sigma: Float[Array, "sigma robots 2"], learner: str = "gradients"
+) -> World:
+    """Builds the world in which a learner with weights of its own improves a policy; see `training_world`.
 
     Its signals have margins of their own, so robots are as large as they are.
     """
-    signals, weights = problem.refinement(index)
+    signals, weights = problem.refinement(index, learner)
     horizon: Any = jnp.asarray(problem.stage(index).horizon, jnp.int32)
     start = _training_start(problem, index, start, sigma)
     return with_array_leaves(World.create(problem.world, start, signals, weights, horizon))
@@ -103,26 +108,42 @@ def _training_start(problem: Problem, index: int, start: Start, sigma: Float[Arr
     return start
 
 
-def _discovery_environment(problem: Problem, index: int, start: Start, sigma: Any) -> Wrapper:
+def _discovery_environment(problem: Problem, index: int, start: Start, sigma: Any, policy: Any) -> Wrapper:
     """Every action is kept up for some steps; rewards are the changes of the objective."""
+    del policy
     world = training_world(problem, index, start, sigma)
     # Robots perceive the world as it is: the margin is in the reward and in what counts as contact alone.
     env, stage = build_environment(problem, world, with_array_leaves(problem.world)), problem.stage(index)
     return ActionRepeat(_with_motion_cost(env, stage.motion_cost), jnp.asarray(stage.repeat, jnp.int32))
 
 
-def _refinement_environment(problem: Problem, index: int, start: Start, sigma: Any) -> Wrapper:
-    """Every step costs what the objective of smooth signals lacks."""
+def _refinement_environment(problem: Problem, index: int, start: Start, sigma: Any, policy: Any) -> Wrapper:
+    """Every step costs what the objective of smooth signals lacks, or what the policy says."""
     env = build_environment(problem, refinement_world(problem, index, start, sigma))
-    env = ShortfallReward(env, with_array_leaves(problem.objective_signals))
+    env = problem.policy.refined_in(env, policy, problem.landmark, with_array_leaves(problem.objective_signals))
     return _with_motion_cost(env, problem.stage(index).gradients.motion_cost)
+
+
+def _goal_environment(problem: Problem, index: int, start: Start, sigma: Any, policy: Any) -> Wrapper:
+    """Nobody moves: configurations in which robots could come to rest are worth their objective of smooth signals."""
+    del policy
+    numbers = problem.stage(index).goals
+    softness, softness_end, emphasis = (
+        jnp.asarray(x, jnp.float32) for x in (numbers.softness, numbers.softness_end, numbers.emphasis)
+    )
+    world = refinement_world(problem, index, start, sigma, "goals")
+    return GoalValue(world, softness, softness_end, emphasis, with_array_leaves(problem.objective_signals))
 
 
 def _with_motion_cost(env: World | Wrapper, cost: float) -> Any:
     return MotionCost(env, jnp.asarray(cost, jnp.float32)) if cost else env
 
 
-_ENVIRONMENTS = {"ppo": _discovery_environment, "gradients": _refinement_environment}
+_ENVIRONMENTS = {
+    "ppo": _discovery_environment,
+    "gradients": _refinement_environment,
+    "goals": _goal_environment,
+}
 """What each learner trains in: base and auxiliary policies in one program, where shapes agree."""
 
 
@@ -150,11 +171,11 @@ class Stage:
         self._learner: Learner = LEARNERS[self.config.learners[phase]]
         self._starts, self._sigmas = starts, sigmas
 
-    def environment(self, part_index: int) -> Wrapper:
-        """Returns what the policy is trained in: the problem's environment, rewarded as the learner needs it."""
+    def environment(self, part_index: int, policy: Any) -> Wrapper:
+        """Returns what a policy network is trained in: the problem's environment, rewarded as the learner needs it."""
         part = self.curriculum.parts[part_index]
         start, sigma = self._starts[part_index], self._sigmas[part_index]
-        return _ENVIRONMENTS[self.config.learners[self.phase]](part, self.index, start, sigma)
+        return _ENVIRONMENTS[self.config.learners[self.phase]](part, self.index, start, sigma, policy)
 
     def begin(self, warm_start: Any | None = None) -> TrainState:
         """Returns the state of the training before its first update.
@@ -167,7 +188,7 @@ class Stage:
         problem = self.curriculum.problem
         policy, value = build_networks(problem, self._key(problem, "networks"))
         policy = policy if warm_start is None else warm_start
-        states = tuple(self._worlds(part_index) for part_index in range(len(self.curriculum.parts)))
+        states = tuple(self._worlds(part_index, policy) for part_index in range(len(self.curriculum.parts)))
         key = self._key(problem, "training")
         return self._learner.begin(policy, value, states, key, self.config.learning(self.phase))
 
@@ -179,7 +200,7 @@ class Stage:
         train = eqx.tree_at(lambda t: t.env_state, train, train.env_state[part_index])
         updates = self.curriculum.chunk(self.index, self.phase, update)
         hyper, shape = learner.hyperparameters(numbers), learner.shape(numbers)
-        return Chunk(train, self.environment(part_index), hyper, shape, updates, learner.train_chunk)
+        return Chunk(train, self.environment(part_index, train.policy), hyper, shape, updates, learner.train_chunk)
 
     def after_chunk(
         self, before: TrainState, trained: TrainState, metrics: dict[str, Any]
@@ -199,6 +220,21 @@ class Stage:
             rows.append({**place, "update": update, **values, "policy_steps": steps, "robots": robots})
         return trained, rows
 
+    def result(self, train: TrainState) -> Any:
+        """Returns the policy network that the training has come to, its best goal first where it has searched goals."""
+        policy = train.result
+        return policy.settled(self._worth) if self._learner.searches_goals else policy
+
+    def _worth(self, formations: Float[np.ndarray, "formations robots 2"]) -> Float[np.ndarray, " formations"]:
+        """Returns the objective of formations in float64; -inf for one that is no valid pattern at rest."""
+        problem = self.curriculum.problem
+        flags = check_pattern(formations, problem.world, problem.thresholds)
+        replaced = replaced_conditions(problem.thresholds)
+        valid = np.logical_and.reduce([flag for name, flag in flags.items() if name not in replaced])
+        objective = Objective(problem.objective_signals)
+        configuration = Configuration(np.moveaxis(formations.astype(float), 0, -1), problem.world)
+        return np.where(valid, objective(objective.measure(configuration)), -np.inf)
+
     @property
     def is_last_phase(self) -> bool:
         """Whether no other learner trains the policy after this one."""
@@ -213,12 +249,12 @@ class Stage:
         key = draw_key(problem, self.index, purpose)
         return jax.random.fold_in(key, self.phase) if self.phase else key
 
-    def _worlds(self, part_index: int) -> Any:
+    def _worlds(self, part_index: int, policy: Any) -> Any:
         """Begins the parallel episodes that the policy is trained in."""
         part = self.curriculum.parts[part_index]
         stage = part.stage(self.index)
         worlds, clock = jax.random.split(self._key(part, "worlds"))
-        state = _reset(self.environment(part_index), worlds, stage.learning(self.phase).worlds)
+        state = _reset(self.environment(part_index, policy), worlds, stage.learning(self.phase).worlds)
         # Episodes that all began together would all end together, and every batch would hold one age only.
         step = state.unwrapped.step
         ages = jax.random.randint(clock, step.shape, 0, stage.horizon, step.dtype)

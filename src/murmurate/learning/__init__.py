@@ -16,6 +16,7 @@ from murmurate.learning.environment import (
     features_of,
     step_with_autoreset,
 )
+from murmurate.learning.goals import GoalConfig, GoalEnvironment, GoalHyperparameters, GoalPolicy
 from murmurate.learning.gradients import GradientConfig, GradientHyperparameters, Segment
 from murmurate.learning.learners import LEARNERS, Learner, LearnerConfig
 from murmurate.learning.losses import Batch, policy_loss, value_loss
@@ -29,6 +30,10 @@ __all__ = [
     "Batch",
     "Chunk",
     "Environment",
+    "GoalConfig",
+    "GoalEnvironment",
+    "GoalHyperparameters",
+    "GoalPolicy",
     "GradientConfig",
     "GradientHyperparameters",
     "Hyperparameters",

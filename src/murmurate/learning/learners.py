@@ -8,8 +8,9 @@ from typing import Any
 
 from jaxtyping import PRNGKeyArray
 
-from murmurate.learning import gradients, ppo
+from murmurate.learning import goals, gradients, ppo
 from murmurate.learning.config import Hyperparameters, PPOConfig, Shape
+from murmurate.learning.goals import GoalConfig, GoalHyperparameters
 from murmurate.learning.gradients import GradientConfig, GradientHyperparameters, Segment
 from murmurate.learning.ppo import TrainState
 
@@ -32,6 +33,7 @@ class Learner:
             of the environment, a key and the configuration.
         repeats_actions: Whether each action is kept up for the steps that a stage's `repeat` says.
         needs_gradients: Whether it improves signals by their gradients.
+        searches_goals: Whether it trains the goals of a policy network, of which the best counts in the end.
     """
 
     hyperparameters: Callable[[Any], Any]
@@ -40,6 +42,7 @@ class Learner:
     begin: Callable[..., TrainState]
     repeats_actions: bool = True
     needs_gradients: bool = False
+    searches_goals: bool = False
 
 
 LEARNERS: dict[str, Learner] = {
@@ -52,8 +55,18 @@ LEARNERS: dict[str, Learner] = {
         repeats_actions=False,
         needs_gradients=True,
     ),
+    "goals": Learner(
+        GoalHyperparameters.from_config,
+        lambda _: None,
+        goals.train_chunk,
+        goals.begin,
+        repeats_actions=False,
+        needs_gradients=True,
+        searches_goals=True,
+    ),
 }
-"""Proximal policy optimisation, which discovers, and the gradient through the world, which refines. The numbers of each
-are a field of a stage's configuration that has the learner's name."""
+"""Proximal policy optimisation, which discovers; the gradient through the world, which refines; and the search for
+goals, of policies that have any. The numbers of each are a field of a stage's configuration that has the learner's
+name."""
 
-LearnerConfig = PPOConfig | GradientConfig
+LearnerConfig = PPOConfig | GradientConfig | GoalConfig

@@ -6,6 +6,7 @@ Arrays take the batch LAST: positions `(robots, 2, *batch)`, velocities of that 
 from murmurate.policies.base import Credit, Gaussian, Policy, PolicyNetwork
 from murmurate.policies.central import CentralPolicy
 from murmurate.policies.equivariant import EquivariantPolicy
+from murmurate.policies.formation import FormationPolicy
 from murmurate.policies.local import LocalPolicy
 from murmurate.policies.shield import ClearanceShield, NoShield, Shield, ShieldedState, ShieldWrapper, WallShield
 
@@ -14,6 +15,7 @@ __all__ = [
     "ClearanceShield",
     "Credit",
     "EquivariantPolicy",
+    "FormationPolicy",
     "Gaussian",
     "LocalPolicy",
     "NoShield",

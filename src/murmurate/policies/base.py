@@ -19,6 +19,8 @@ from murmurate.errors import MAX_INTEGER, InputError, check_choice, check_number
 from murmurate.registry import Strategy
 from murmurate.representation import short_repr
 from murmurate.world.config import WorldConfig
+from murmurate.world.env import ShortfallReward, World, Wrapper
+from murmurate.world.signals import Signal
 
 __all__ = ["Credit", "Gaussian", "Policy", "PolicyNetwork", "check_hidden"]
 
@@ -32,6 +34,9 @@ class Policy(Strategy):
 
     - `perceives`: robots act on an `Observation`, each on its own view alone, instead of on all positions.
     - `any_size`: the same weights act in swarms of any size.
+    - `has_goals`: the policy network steers to goals of its own, which the learner `goals` searches. It has two more
+      methods: `goals()` returns them, `(robots, 2, goals)`, and `settled(score)` returns the network with its best goal
+      first; see `FormationNetwork`.
 
     Attributes:
         credit: Which reward an action learns from: every robot's velocity from the change of its own potential
@@ -41,6 +46,7 @@ class Policy(Strategy):
     section: ClassVar[str] = "policy"
     perceives: ClassVar[bool] = False
     any_size: ClassVar[bool] = True
+    has_goals: ClassVar[bool] = False
 
     credit: Credit = eqx.field(default="robots", static=True, kw_only=True)
 
@@ -51,6 +57,22 @@ class Policy(Strategy):
     def needs_walls(self) -> bool:
         """Whether robots act on the walls that they perceive, so that their sensing has to show them."""
         return False
+
+    def refined_in(
+        self, env: World | Wrapper, network: Any, landmark: bool, recorded: dict[str, Signal]
+    ) -> World | Wrapper:
+        """Returns an environment with the rewards by which gradients refine the policy.
+
+        By default every step costs what the configuration lacks to the best value of its objective.
+
+        Args:
+            env: The environment; its objective is that of the learner gradients.
+            network: The policy network as it is before an update.
+            landmark: Whether the gathering point is known.
+            recorded: The signals that transitions report.
+        """
+        del network, landmark
+        return ShortfallReward(env, recorded)
 
     @abstractmethod
     def networks(self, world: WorldConfig, landmark: bool, key: PRNGKeyArray) -> tuple[Any, Any]:

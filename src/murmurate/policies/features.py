@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from murmurate.geometry._batch_last import sum_over_third_robots, sum_terms
+from murmurate.geometry._batch_last import other_robots, sum_over_third_robots, sum_terms
 from murmurate.representation import short_repr
 from murmurate.world.config import WorldConfig
 
@@ -21,6 +21,7 @@ __all__ = [
     "SHADOW_CHANNELS",
     "PositionFeatures",
     "Surroundings",
+    "offsets_between",
     "pair_and_robot_features",
     "pair_channels",
     "position_features",
@@ -212,14 +213,16 @@ def point(
         basis: Number of radial basis functions.
         scale: The safe distance.
     """
-    distance = jnp.sqrt(x * x + y * y)
+    square = x * x + y * y
+    # The gradient of the square root at 0 is not finite.
+    distance = jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0)
     soft = jnp.sqrt(distance**2 + (0.25 * scale) ** 2)
     return x / soft, y / soft, radial_basis(jnp.log(distance / scale + 1e-6), basis)
 
 
 def position_features(positions: Float[Array, "robots 2 *batch"], world: WorldConfig) -> PositionFeatures:
     """Returns positions with those features that take longest to compute from them."""
-    ux, uy, distance = _directions(*_offsets(positions))
+    ux, uy, distance = _directions(*offsets_between(positions))
     return PositionFeatures(positions, _shadows(ux, uy, distance, world.radius))
 
 
@@ -233,16 +236,16 @@ def surroundings(
     shadows: Float[Array, "shadow_channels robots others *batch"] | None = None,
 ) -> Surroundings:
     """Returns the features of every robot where each knows all positions; for the arguments see below."""
-    offsets = _offsets(positions)
+    offsets = offsets_between(positions)
     target = (-positions[:, 0], -positions[:, 1])
     return pair_and_robot_features(*offsets, *target, basis, world, landmark, scale_free=scale_free, shadows=shadows)
 
 
-def _offsets(positions: Float[Array, "robots 2 *batch"]) -> tuple[Array, Array, Array]:
+def offsets_between(positions: Float[Array, "robots 2 *batch"]) -> tuple[Array, Array, Array]:
     """Returns every robot's coordinates relative to every other, and which robots are at different places."""
     dx = positions[None, :, 0] - positions[:, None, 0]
     dy = positions[None, :, 1] - positions[:, None, 1]
-    return dx, dy, dx * dx + dy * dy > 0
+    return dx, dy, (dx * dx + dy * dy > 0) & other_robots(jnp, positions)
 
 
 def _directions(dx: Array, dy: Array, apart: Array) -> tuple[Array, Array, Array]:

@@ -69,6 +69,7 @@ class ExperimentConfig(Problem):
         self._check_signals()
         self._check_sensing()
         self._check_dead_zone()
+        self._check_goals()
         self.shield.prepare(self.scheduler)  # refuses a scheduler that it cannot serve
         if self.sizes:
             self._check_sizes()
@@ -130,6 +131,13 @@ class ExperimentConfig(Problem):
             signal = next(name for name, signal in self.objective_signals.items() if signal.needs_landmark)
             reason = f"true with the signal {signal}: in frames of their own, robots find a point only by a landmark"
             raise InputError("sensing.landmark", False, reason)
+
+    def _check_goals(self) -> None:
+        """Refuses the search for goals of a policy that has none."""
+        for section in ("base", "auxiliary")[: min(self.discovery.max_policies, 2)]:
+            if getattr(self, section).learner == "goals" and not self.policy.has_goals:
+                allowed = f"ppo or gradients: the policy {self.policy.name} has no goals (formation has)"
+                raise InputError(f"{section}.learner", "goals", allowed)
 
     def _check_sizes(self) -> None:
         """Refuses swarm sizes that one policy cannot be trained among."""

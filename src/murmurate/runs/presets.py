@@ -12,7 +12,16 @@ from murmurate.discovery import DiscoveryConfig, RestRule, StageConfig
 from murmurate.discovery.problem import GATHERING, GATHERING_SIGNALS
 from murmurate.errors import check_choice
 from murmurate.learning import GradientConfig, PPOConfig
-from murmurate.policies import CentralPolicy, ClearanceShield, EquivariantPolicy, LocalPolicy, NoShield, Policy, Shield
+from murmurate.policies import (
+    CentralPolicy,
+    ClearanceShield,
+    EquivariantPolicy,
+    FormationPolicy,
+    LocalPolicy,
+    NoShield,
+    Policy,
+    Shield,
+)
 from murmurate.runs import config_io
 from murmurate.runs.experiment import ExperimentConfig, make_importer, read_toml
 from murmurate.runs.paper import EXPERIMENTS, NOISE, PaperExperiment, check_experiment
@@ -146,7 +155,23 @@ _PAPER = TrainingPreset(
 
 _LOCAL = replace(_EQUIVARIANT, policy=LocalPolicy(hidden=(32, 16)))
 
-TRAINING_PRESETS = {"equivariant": _EQUIVARIANT, "central": _CENTRAL, "local": _LOCAL, "paper": _PAPER}
+# The formation is searched first, by what it is worth; then gradients teach robots the way into it.
+_FORMATION = TrainingPreset(
+    policy=FormationPolicy(),
+    base=StageConfig(learner="goals", refine=True, gradients=GradientConfig(updates=300), hard_share=0.3, horizon=100),
+    auxiliary=StageConfig(learner="gradients", warm_start=True),
+    discovery=DiscoveryConfig(min_policies=1, max_policies=1, chunk=50),
+    rest=RestRule(dead_zone=1e-4),
+    shield=ClearanceShield(),
+)
+
+TRAINING_PRESETS = {
+    "equivariant": _EQUIVARIANT,
+    "formation": _FORMATION,
+    "central": _CENTRAL,
+    "local": _LOCAL,
+    "paper": _PAPER,
+}
 """Learners by name: one for each kind of policy, and the paper's own numbers."""
 
 DEFAULT_LEARNER = "equivariant"
@@ -157,7 +182,7 @@ def preset(name: str, learner: str = DEFAULT_LEARNER, objective: str | None = No
 
     Args:
         name: A to F.
-        learner: The training preset: equivariant, central, local or paper.
+        learner: The training preset: equivariant, formation, central, local or paper.
         objective: An objective to use instead of the experiment's own.
 
     Raises:

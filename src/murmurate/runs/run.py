@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import jax
 import numpy as np
@@ -19,6 +19,9 @@ from murmurate.runs.experiment import ExperimentConfig, check_seed
 from murmurate.runs.folder import MAX_EPISODES, RunFolder
 from murmurate.runs.given_starts import HELD_OUT, given_starts, starts_key
 from murmurate.world import Start, World, check_configurations, check_pairs, draw_starts
+
+if TYPE_CHECKING:
+    from murmurate.analysis import Catalogue
 
 __all__ = ["MAX_EPISODES", "Run", "check_draw", "rollout_seed"]
 
@@ -110,6 +113,31 @@ class Run:
         """
         check_type("experiment", experiment, ExperimentConfig, "an experiment, such as replace(run.experiment, ...)")
         return replace(self, experiment=experiment, cascade=build_cascade(experiment, self.cascade.policies))
+
+    def remembered(self) -> Catalogue:
+        """Returns the distinct valid patterns that a policy `formation` remembers, best first.
+
+        Raises:
+            InputError: The policy is another one.
+            RunError: None of its formations is a valid pattern.
+        """
+        from murmurate.runs import formations
+
+        return formations.remembered(self)
+
+    def forming(self, formation: int | Float[np.ndarray, "robots 2"]) -> Run:
+        """Returns the run with a policy that forms another pattern than the best that it remembers.
+
+        Args:
+            formation: The number of a class of `remembered`, 1 for the best; or the places of all robots, world units:
+                any formation, around the gathering point where it is known.
+
+        Raises:
+            InputError: There is no such class, the swarm cannot form it, or the policy remembers no formations.
+        """
+        from murmurate.runs import formations
+
+        return formations.forming(self, formation)
 
     def save(self, folder: str | Path) -> Path:
         """Writes the run, as it is, to a folder of its own; without an evaluation.

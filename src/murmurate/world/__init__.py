@@ -5,6 +5,7 @@ from murmurate.world.config import MAX_ROBOTS, WorldConfig, check_pairs, check_w
 from murmurate.world.env import (
     ActionRepeat,
     DeadZone,
+    GoalValue,
     LocalObservation,
     MotionCost,
     ObservedState,
@@ -53,8 +54,10 @@ from murmurate.world.smooth import (
     Convex,
     Exposed,
     Occluders,
+    SmoothNeighbors,
     SmoothSafety,
     SmoothVisible,
+    Soft,
 )
 from murmurate.world.start_files import check_configurations, checked_starts, read_named_starts, read_starts
 from murmurate.world.start_sets import start_set
@@ -101,6 +104,7 @@ __all__ = [
     "Frames",
     "FsyncScheduler",
     "GlobalSensing",
+    "GoalValue",
     "HardStart",
     "JitteredStart",
     "LocalObservation",
@@ -120,8 +124,10 @@ __all__ = [
     "ShortfallReward",
     "Signal",
     "SlowMoves",
+    "SmoothNeighbors",
     "SmoothSafety",
     "SmoothVisible",
+    "Soft",
     "Spread",
     "SsyncScheduler",
     "Start",

@@ -24,12 +24,14 @@ from murmurate.world.randomness import draw_each, episode_keys, key_data, next_k
 from murmurate.world.scheduling import Activation, Clock, Scheduler
 from murmurate.world.sensing import Frames, Sensing, view_of, wall_directions
 from murmurate.world.signals import Configuration, Objective, Signal, objective_signals
+from murmurate.world.smooth import Soft
 from murmurate.world.starts import Start
 from murmurate.world.tiles import in_tiles
 
 __all__ = [
     "ActionRepeat",
     "DeadZone",
+    "GoalValue",
     "LocalObservation",
     "MotionCost",
     "ObservedState",
@@ -361,6 +363,43 @@ class ShortfallReward(Wrapper):
         configuration = Configuration(jax.lax.stop_gradient(after.positions), self.config)
         signals = {name: signal.value(configuration) for name, signal in self.recorded.items()}
         return after, Transition(reward, transition.terminated, transition.truncated, signals, reward[None])
+
+
+class GoalValue(Wrapper):
+    """Says what configurations are worth in which robots could come to rest, without moving any robot.
+
+    Attributes:
+        softness: Of the soft signals of the objective, at the beginning of a training.
+        softness_end: At its end.
+        emphasis: Factor on the weights of these signals at the beginning; it falls to 1.
+        recorded: The signals to report, in place of those of the objective; no gradient passes through.
+    """
+
+    softness: Any
+    softness_end: Any
+    emphasis: Any
+    recorded: dict[str, Signal]
+
+    def goal_value(
+        self, goals: Float[Array, "robots 2 *batch"], progress: Float[Array, ""]
+    ) -> tuple[Float[Array, "*batch"], dict[str, Float[Array, "*batch"]]]:
+        """Returns the objective of configurations, and the recorded signals by name.
+
+        Args:
+            goals: The configurations.
+            progress: Share of the training that is done: softness and emphasis fall geometrically.
+        """
+        softness = self.softness * (self.softness_end / self.softness) ** progress
+        emphasis = self.emphasis ** (1 - progress)
+        objective, configuration = self.unwrapped.objective, Configuration(goals, self.config)
+        values = {
+            name: emphasis * jnp.mean(signal.softened(configuration, softness), axis=0)
+            if isinstance(signal, Soft)
+            else signal.value(configuration)
+            for name, signal in objective.signals.items()
+        }
+        configuration = Configuration(jax.lax.stop_gradient(goals), self.config)
+        return objective(values), {name: signal.value(configuration) for name, signal in self.recorded.items()}
 
 
 ASIDE = (0.5403023, 0.8414710)

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import math
 import operator
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import equinox as eqx
 from jaxtyping import Float
 
 from murmurate.errors import MAX_MAGNITUDE, check_number
 from murmurate.geometry import _batch_last
-from murmurate.geometry._batch_last import sum_over_third_robots
+from murmurate.geometry._batch_last import other_robots, sum_over_third_robots
 from murmurate.geometry.rings import smallest_ring_radius
 from murmurate.world.signals import Configuration, Signal
 
@@ -28,12 +28,37 @@ __all__ = [
     "Convex",
     "Exposed",
     "Occluders",
+    "SmoothNeighbors",
     "SmoothSafety",
     "SmoothVisible",
+    "Soft",
 ]
 
-SMOOTH_SIGNALS = ("smooth_visible", "smooth_safety", "compact", "centered", "exposed", "convex", "occluders")
+SMOOTH_SIGNALS = (
+    "smooth_visible",
+    "smooth_safety",
+    "smooth_neighbors",
+    "compact",
+    "centered",
+    "exposed",
+    "convex",
+    "occluders",
+)
 """The signals with a gradient by name: a policy may be rewarded for any of them beside its objective."""
+
+
+@runtime_checkable
+class Soft(Protocol):
+    """A signal that says what a configuration lacks, with a softness.
+
+    What is lacking counts by its square up to the softness, as a share of what is needed, and in proportion beyond. A
+    soft signal has a gradient that leads far; a hard one allows nothing to be lacking where its weight is large enough.
+    """
+
+    def softened(self, configuration: Configuration, softness: Any) -> Float[Array, "robots *batch"]:
+        """Returns the shares of the robots with a softness > 0 in place of the signal's own."""
+        ...
+
 
 STEEPNESS = 10 / 3
 """How steeply the first hidden robot counts against all of them."""
@@ -66,8 +91,12 @@ class SmoothVisible(Signal):
 
     def __call__(self, configuration: Configuration) -> Float[Array, "robots *batch"]:
         """Returns the same for each robot: 1 where all see all others with the margin, 0 where nobody sees anybody."""
+        return self.softened(configuration, SOFTNESS)
+
+    def softened(self, configuration: Configuration, softness: Any) -> Float[Array, "robots *batch"]:
+        """Returns the same with a softness in place of the signal's own; see `Soft`."""
         xp, robots = configuration.xp, configuration.positions.shape[0]
-        (total,) = sum_over_third_robots(*_shadows(configuration, self.margin))
+        (total,) = sum_over_third_robots(*_shadows(configuration, self.margin, softness))
         hidden = total / (1 + total)
         count = xp.mean(_batch_last.fold(operator.add, hidden, 1), axis=0)
         share = 1 - xp.log1p(STEEPNESS * count) / math.log1p(STEEPNESS * (robots - 1))
@@ -89,10 +118,35 @@ class SmoothSafety(Signal):
 
     def __call__(self, configuration: Configuration) -> Float[Array, "robots *batch"]:
         """Returns 1 - sum max(0, 1 + margin - d / delta_s)^2 over a robot's pairs."""
+        return 1 - _batch_last.fold(operator.add, self._lacks(configuration) ** 2, 1)
+
+    def softened(self, configuration: Configuration, softness: Any) -> Float[Array, "robots *batch"]:
+        """Returns 1 - sum l^2 / (l + softness) over a robot's pairs; l is the root of what counts above. See `Soft`."""
+        lack = self._lacks(configuration)
+        return 1 - _batch_last.fold(operator.add, lack**2 / (lack + softness), 1)
+
+    def _lacks(self, configuration: Configuration) -> Float[Array, "robots others *batch"]:
         xp, world = configuration.xp, configuration.world
         _, _, distance, apart = _pairs(configuration)
         lack = 1 + self.margin - distance / world.safe_distance
-        return 1 - _batch_last.fold(operator.add, xp.where(apart & (lack > 0), lack**2, 0.0), 1)
+        return xp.where(apart & (lack > 0), lack, 0.0)
+
+
+@Signal.register("smooth_neighbors")
+class SmoothNeighbors(Signal):
+    """How far robots are beyond the scan radius of each other: 1 where all pairs are neighbours."""
+
+    def __call__(self, configuration: Configuration) -> Float[Array, "robots *batch"]:
+        """Returns 1 - sum e^2 / (e + 0.03) over a robot's pairs, where e = max(0, d / scan_radius - 1)."""
+        return self.softened(configuration, SOFTNESS)
+
+    def softened(self, configuration: Configuration, softness: Any) -> Float[Array, "robots *batch"]:
+        """Returns the same with a softness in place of 0.03; see `Soft`."""
+        xp, world = configuration.xp, configuration.world
+        _, _, distance, apart = _pairs(configuration)
+        excess = distance / world.scan_radius - 1
+        excess = xp.where(apart & (excess > 0), excess, 0.0)
+        return 1 - _batch_last.fold(operator.add, excess**2 / (excess + softness), 1)
 
 
 @Signal.register("compact")
@@ -188,7 +242,7 @@ class Occluders(Signal):
         return 1 - hidden / (SOFTNESS + hidden) * _depths(configuration)
 
 
-def _shadows(configuration: Configuration, margin: float) -> tuple[Any, tuple[Any, ...]]:
+def _shadows(configuration: Configuration, margin: float, softness: Any = SOFTNESS) -> tuple[Any, tuple[Any, ...]]:
     """Returns a function of a pair of robots and a third one, and what it takes of each: how much the third hides.
 
     Of an observer k, another robot i and a third one j: how far the chord of the angle between i and j is below that of
@@ -204,16 +258,18 @@ def _shadows(configuration: Configuration, margin: float) -> tuple[Any, tuple[An
 
     def shadow(first: tuple[Any, ...], other: tuple[Any, ...], same: Any) -> tuple[Any]:
         # The observer itself has no direction, which is 0.
-        (ux, uy, distance, sine, cosine), (jx, jy, near, jsine, jcosine) = first, other
+        (ux, uy, distance, sine, cosine, *soft), (jx, jy, near, jsine, jcosine, *_) = first, other
         square = (ux - jx) ** 2 + (uy - jy) ** 2
         nearer = (near < distance) & (ux * ux + uy * uy > 0) & (jx * jx + jy * jy > 0) & ~same
         # The gradient of the square root at 0 is not finite.
         chord = xp.where(square > 0, xp.sqrt(xp.where(square > 0, square, 1.0)), 0.0)
         lack = 1 - chord / (2 * (sine * jcosine + cosine * jsine))
         lack = xp.where(nearer & (lack > 0), lack, 0.0)
-        return (lack**2 / (lack + SOFTNESS),)
+        return (lack**2 / (lack + (soft[0] if soft else softness)),)
 
-    return shadow, (ux, uy, distance, sine, cosine)
+    # Only what is no plain number takes a place among the arrays of each pair.
+    soft = () if isinstance(softness, float) else (xp.broadcast_to(softness, distance.shape),)
+    return shadow, (ux, uy, distance, sine, cosine, *soft)
 
 
 def _depths(configuration: Configuration) -> Any:
@@ -262,7 +318,7 @@ def _pairs(configuration: Configuration) -> tuple[Any, Any, Any, Any]:
     dx = positions[None, :, 0] - positions[:, None, 0]
     dy = positions[None, :, 1] - positions[:, None, 1]
     square = dx * dx + dy * dy
-    apart = square > 0
+    apart = (square > 0) & other_robots(xp, positions)
     return dx, dy, xp.sqrt(xp.where(apart, square, 1.0)), apart
 
 

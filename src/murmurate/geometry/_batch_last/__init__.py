@@ -18,7 +18,7 @@ from murmurate.geometry._batch_last.contact import (
     outside,
 )
 from murmurate.geometry._batch_last.hull import hull_neighbors, hull_shares, on_hull
-from murmurate.geometry._batch_last.loops import sum_over_third_robots, sum_terms
+from murmurate.geometry._batch_last.loops import other_robots, sum_over_third_robots, sum_terms
 from murmurate.geometry._batch_last.visibility import (
     as_floating,
     fold,
@@ -46,6 +46,7 @@ __all__ = [
     "neighbors_and_visible",
     "occluded",
     "on_hull",
+    "other_robots",
     "outside",
     "sole_occluder_counts",
     "stands_between",

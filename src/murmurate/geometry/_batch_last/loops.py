@@ -174,6 +174,21 @@ def _add(first: tuple[Any, ...], second: tuple[Any, ...]) -> tuple[Any, ...]:
     return tuple(a + b for a, b in zip(first, second, strict=True))
 
 
+def other_robots(xp: Any, positions: Any) -> Any:
+    """Returns which pairs are of two different robots, `(robots, robots, *ones)` to broadcast over the batch.
+
+    Where positions are products, a compiler may round one of the two that it subtracts and not the other: a robot is
+    then not at its own place.
+
+    Args:
+        xp: The namespace of the arrays.
+        positions: Positions of the robots, `(robots, 2, *batch)`.
+    """
+    number = xp.arange(positions.shape[0])
+    other = number[:, None] != number[None]
+    return xp.reshape(other, (*other.shape, *(1,) * (positions.ndim - 2)))
+
+
 def scatter(xp: Any, operation: str, array: Any, rows: Any, values: Any) -> Any:
     """Returns a two-dimensional array after `min`, `max` or `add` of values into rows of each column.
 

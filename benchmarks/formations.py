@@ -1,0 +1,195 @@
+"""Trains policies that remember formations on the paper's experiments and measures them: `make formations`.
+
+python -m benchmarks.formations [--runs runs] [--docs docs] [--seeds 0 1 2] [--experiments A C] [--only-finished]
+
+Writes the tables of docs/formations.md and docs/figures/formations.png. Finished runs are reused.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+import murmurate
+from benchmarks.seeds import anneal
+from murmurate import plots
+from murmurate.analysis import Catalogue, unmatched
+from murmurate.discovery import bound_steps
+from murmurate.discovery.validity import check_pattern
+from murmurate.runs import files, formations, table
+from murmurate.runs.evaluate import EPISODES
+from murmurate.runs.paper import EXPERIMENTS
+from murmurate.world import Start
+
+BEGIN, END = "<!-- measured formations -->", "<!-- end of measured formations -->"
+STARTS = ("random", "cluster", "corner", "wall", "walls", "tight-grid", "surrounded", "symmetric")
+"""Starts other than an experiment's own."""
+KEY = 7
+"""Seed of starts; training has other starts."""
+PATTERNS, PATTERN_STARTS = 20, 50
+"""How many of the remembered patterns are formed, from how many starts each."""
+TARGET_COLUMNS = ("formed", "contact or exit", "steps / bound")
+TARGETS, TARGET_STARTS, TARGET_SIZES = 100, 5, (4, 8, 12)
+"""How many random formations are formed, from how many starts each, by how many robots."""
+
+
+def own_row(name: str, seed: int, run: murmurate.Run) -> tuple[str, ...]:
+    """Returns what a run's evaluation says, from 200 fresh starts of its experiment."""
+    summary = files.read_json(run.folder / "evaluation.json")
+    steps, bound = summary["total_steps"], summary["bound_steps"]
+    return (
+        name,
+        str(seed),
+        str(round(EPISODES * summary["valid"])),
+        str(round(EPISODES * (1 - min(summary["contact_free"], summary["inside"])))),
+        f"{steps:.1f}",
+        f"{EXPERIMENTS[name].total_steps:.2f}",
+        f"{bound:.1f}",
+        f"{steps / bound:.2f}",
+        f"{100 * summary['gap'] / summary['best_known']:.3f}%",
+        f"{run.manifest['train_seconds']:.0f} s",
+    )
+
+
+def other_cell(run: murmurate.Run, start: Start) -> str:
+    """Executes a policy from other starts: valid of 200, (contact or exit), steps over the bound."""
+    run = run.under(replace(run.experiment, start=start))
+    trajectories, world = run.rollout(EPISODES, key=KEY), run.experiment.world
+    validity = murmurate.check_validity(trajectories, world, run.experiment.thresholds)
+    failed = int((~(validity.contact_free & validity.inside)).sum())
+    pairs = zip(trajectories.positions[:, 0], trajectories.final, strict=True)
+    bound = np.mean([bound_steps(start, final, world.max_speed) for start, final in pairs])
+    return f"{int(validity.valid.sum())} ({failed}) {trajectories.lengths.mean() / bound:.2f}"
+
+
+def pattern_row(name: str, run: murmurate.Run) -> tuple[str, ...]:
+    """Counts the patterns that a run remembers beside those that annealing finds; swarms form the best ones."""
+    found, annealed = run.remembered(), Catalogue.from_findings(anneal(name))
+    missed = unmatched(annealed, [finding.positions for finding in found.findings])
+    new = unmatched(found, [finding.positions for finding in annealed.findings])
+    formed = valid = failed = 0
+    shown = min(PATTERNS, len(found.classes))
+    for number in range(1, shown + 1):
+        other = run.forming(number)
+        trajectories = other.rollout(PATTERN_STARTS, key=KEY)
+        validity = murmurate.check_validity(trajectories, run.experiment.world, run.experiment.thresholds)
+        formed += int((formations.distances_to_formed(other, trajectories.final) <= formations.FORMED).sum())
+        valid += int(validity.valid.sum())
+        failed += int((~(validity.contact_free & validity.inside)).sum())
+    episodes = shown * PATTERN_STARTS
+    return (
+        *(name, str(run.experiment.world.robots), str(len(found.findings)), str(len(found.classes))),
+        *(str(len(annealed.classes)), str(len(annealed.classes) - len(missed)), str(len(new))),
+        *(f"{shown}", f"{formed} of {episodes}", f"{valid} of {episodes}", str(failed)),
+    )
+
+
+def random_targets(run: murmurate.Run) -> list[np.ndarray]:
+    """Draws random formations in which all see each other and keep the safe distance: points, made wide enough."""
+    world, random, targets = run.experiment.world, np.random.default_rng(KEY), []
+    while len(targets) < TARGETS:
+        points = random.uniform(-1, 1, (world.robots, 2))
+        points = world.safe_distance * (points - points.mean(axis=0))
+        for scale in np.geomspace(0.5, 8, 40):
+            flags = check_pattern(scale * points[None], world)
+            if all(flag.all() for flag in flags.values()):
+                targets.append(scale * points)
+                break
+    return targets
+
+
+def target_row(run: murmurate.Run) -> tuple[str, ...]:
+    """Lets swarms form random formations that training has not seen, from fresh starts and from crowds in a corner."""
+    cells = []
+    for start in (run.experiment.start, Start.registered()["corner"]()):
+        other = run.under(replace(run.experiment, start=start))
+        formed = failed = 0
+        ratios = []
+        for number, target in enumerate(random_targets(run)):
+            told = other.forming(target)
+            trajectories, world = told.rollout(TARGET_STARTS, key=number), run.experiment.world
+            validity = murmurate.check_validity(trajectories, world)
+            formed += int((formations.distances_to_formed(told, trajectories.final) <= formations.FORMED).sum())
+            failed += int((~(validity.contact_free & validity.inside)).sum())
+            pairs = zip(trajectories.positions[:, 0], trajectories.final, strict=True)
+            bound = np.mean([bound_steps(begin, final, world.max_speed) for begin, final in pairs])
+            ratios.append(trajectories.lengths.mean() / bound)
+        cells += [f"{formed} of {TARGETS * TARGET_STARTS}", str(failed), f"{np.mean(ratios):.2f}"]
+    return (str(run.experiment.world.robots), *cells)
+
+
+def page(runs: dict[tuple[str, int], murmurate.Run], sizes: list[murmurate.Run], first: int) -> str:
+    """Returns the tables of finished runs, by experiment and seed, and of those of other sizes."""
+    own, others, patterns = [], [], []
+    for (name, seed), run in runs.items():
+        own.append(own_row(name, seed, run))
+        others.append((name, str(seed), *(other_cell(run, Start.registered()[start]()) for start in STARTS)))
+        print(*own[-1], *others[-1], flush=True)
+        if seed == first:
+            patterns.append(pattern_row(name, run))
+            print(*patterns[-1], flush=True)
+    targets = [target_row(run) for run in sizes]
+    print(targets, flush=True)
+    header = ("", "seed", "valid", "contact or exit", "steps", "paper's", "bound", "steps / bound", "gap", "training")
+    pattern_header = (
+        *("", "robots", "valid formations", "distinct", "annealed", "of these found", "never annealed"),
+        *("told", "formed", "valid", "contact or exit"),
+    )
+    target_header = ("robots", *(f"{word}{start}" for start in ("", ", corner") for word in TARGET_COLUMNS))
+    return "\n".join(
+        (
+            f"From {EPISODES} fresh starts of each experiment:\n",
+            table.as_markdown(header, own),
+            f"From {EPISODES} other starts each: valid, (contact or exit), steps over the bound:\n",
+            table.as_markdown(("", "seed", *STARTS), others),
+            f"Patterns that the runs of seed {first} remember, beside those that annealing finds, and\n"
+            f"the best of them formed from {PATTERN_STARTS} starts each:\n",
+            table.as_markdown(pattern_header, patterns),
+            f"{TARGETS} random formations that were never trained, from {TARGET_STARTS} random starts each, and\n"
+            "from as many crowds in a corner:\n",
+            table.as_markdown(target_header, targets),
+        )
+    )
+
+
+def main() -> None:
+    """Trains what is missing and writes the tables and the picture."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--runs", type=Path, default=Path("runs"))
+    parser.add_argument("--docs", type=Path, default=Path("docs"))
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
+    parser.add_argument("--experiments", nargs="+", default=list(EXPERIMENTS), choices=list(EXPERIMENTS))
+    parser.add_argument("--only-finished", action="store_true", help="train nothing: write what the finished runs show")
+    options = parser.parse_args()
+    runs = {}
+    for name, seed in itertools.product(options.experiments, options.seeds):
+        folder = options.runs / f"{name}-formation-seed{seed}"
+        if options.only_finished:
+            if (folder / "manifest.json").exists():
+                runs[name, seed] = murmurate.load(folder)
+        else:
+            fields = {"policy": "formation", "seed": seed}
+            runs[name, seed] = murmurate.discover(name, out=folder, resume=folder.exists(), **fields)
+    sizes = []
+    for robots in TARGET_SIZES:
+        folder = options.runs / f"formation-{robots}-seed0"
+        if not options.only_finished:
+            fields = {"policy": "formation", "world": {"robots": robots}, "start": "random"}
+            sizes.append(murmurate.discover("E", out=folder, resume=folder.exists(), **fields))
+        elif (folder / "manifest.json").exists():
+            sizes.append(murmurate.load(folder))
+    first = {name: run for (name, seed), run in runs.items() if seed == options.seeds[0]}
+    recordings = [plots.Recording.open(run.folder) for run in first.values()]
+    figure = plots.patterns_figure(recordings, list(first))
+    plots.save(figure, options.docs / "figures" / "formations.png", dpi=110)
+    document = options.docs / "formations.md"
+    before, _, rest = document.read_text(encoding="utf-8").partition(BEGIN)
+    files.write_text(document, f"{before}{BEGIN}\n{page(runs, sizes, options.seeds[0])}{END}{rest.partition(END)[2]}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,156 @@
+"""What a run's policy remembers: its distinct formations, and the same run with another formation to form."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from murmurate.analysis import Catalogue, Finding
+from murmurate.analysis.optimum.best_known import best_known
+from murmurate.analysis.optimum.formation import Target
+from murmurate.discovery import build_cascade
+from murmurate.discovery.validity import check_pattern, replaced_conditions
+from murmurate.errors import InputError, RunError, check_number
+from murmurate.geometry import distances
+from murmurate.geometry.similarity import configuration, distance
+from murmurate.policies.formation import FormationNetwork
+from murmurate.world import Configuration, Objective, read_starts
+
+if TYPE_CHECKING:
+    from murmurate.runs.run import Run
+
+__all__ = ["FORMED", "distances_to_formed", "forming", "pattern", "read_target", "remembered"]
+
+FORMED = 0.1
+"""Root mean square distance in radii within which a formation counts as formed."""
+
+
+def remembered(run: Run) -> Catalogue:
+    """Returns the valid patterns among the formations that a run's last policy remembers, sorted into classes.
+
+    Raises:
+        InputError: The policy remembers no formations.
+        RunError: None of them is a valid pattern.
+    """
+    config, world = run.experiment, run.experiment.world
+    formations = np.moveaxis(np.asarray(_network(run).goals(), float), -1, 0)
+    flags, replaced = check_pattern(formations, world, config.thresholds), replaced_conditions(config.thresholds)
+    valid = np.logical_and.reduce([flag for name, flag in flags.items() if name not in replaced])
+    if not valid.any():
+        raise RunError(f"{run.folder}: none of the {len(valid)} formations of its policy is a valid pattern")
+    objective = Objective(config.objective_signals)
+    values = objective(objective.measure(Configuration(np.moveaxis(formations, 0, -1), world)))
+    # Only for the paper's objectives, with its own weights, best-known patterns are kept.
+    known = best_known(Target(world, config.objective)) if config.has_paper_objective else None
+    findings = [
+        Finding(
+            positions=formations[index],
+            radius=world.radius,
+            safe_distance=world.safe_distance,
+            scan_radius=world.scan_radius,
+            objective=config.objective if config.has_paper_objective else "custom",
+            value=float(values[index]),
+            gap=None if known is None else known - float(values[index]),
+            experiment=config.name,
+            policy=config.policy.name,
+            start="remembered",
+            seed=config.seed,
+            run=hashlib.sha256(formations.tobytes()).hexdigest()[:16],
+            episode=int(index),
+        )
+        for index in np.flatnonzero(valid)
+    ]
+    return Catalogue.from_findings(findings)
+
+
+def pattern(run: Run, number: Any) -> Float[np.ndarray, "robots 2"]:
+    """Returns the best formation of a class of those that a run's policy remembers, world units.
+
+    Args:
+        run: The run.
+        number: 1 for the best class, as `murmurate catalogue --remembered` numbers them.
+
+    Raises:
+        InputError: There is no such class, or the policy remembers no formations.
+        RunError: None of them is a valid pattern.
+    """
+    classes = remembered(run).classes
+    if isinstance(number, bool) or not isinstance(number, int) or not 1 <= number <= len(classes):
+        allowed = f"a number from 1 to {len(classes)}: the policy remembers so many distinct valid patterns"
+        raise InputError("pattern", number, allowed)
+    return classes[number - 1].representative.positions
+
+
+def forming(run: Run, formation: Any) -> Run:
+    """Returns the run with a policy that forms another formation: one that it remembers, or any other.
+
+    Args:
+        run: A run whose last policy remembers formations.
+        formation: The number of a class (see `pattern`), or the places of all robots, world units; around the gathering
+            point where it is known.
+
+    Raises:
+        InputError: There is no such class; robots would overlap, be nearer than the safe distance or outside the
+            world; there are too few or too many; or the policy remembers no formations.
+    """
+    network, world = _network(run), run.experiment.world
+    places = pattern(run, formation) if np.ndim(formation) == 0 else configuration(formation)
+    if len(places) != world.robots:
+        raise InputError("formation", f"{len(places)} robots", f"of {world.robots}, as the swarm has")
+    if not run.experiment.landmark:
+        places = places - places.mean(axis=0)
+    apart = distances(places)[~np.eye(len(places), dtype=bool)]
+    if apart.size and apart.min() < world.safe_distance:
+        allowed = f"of robots at least safe_distance = {world.safe_distance:g} apart"
+        raise InputError("formation", f"two robots {apart.min():.6g} apart", allowed)
+    reach = np.abs(places).max(axis=0) + world.radius
+    if (reach > world.limits).any():
+        size = " x ".join(f"{2 * side:g}" for side in world.limits)
+        raise InputError(
+            "formation", f"one that reaches {reach.max():.6g} from its centre", f"inside the world, {size}"
+        )
+    other = network.remembering(jnp.asarray(places, jnp.float32))
+    policies = (*run.cascade.policies[:-1], other)
+    return replace(run, cascade=build_cascade(run.experiment, policies))
+
+
+def distances_to_formed(run: Run, final: Float[np.ndarray, "episodes robots 2"]) -> Float[np.ndarray, " episodes"]:
+    """Returns the root mean square distance, in radii, of configurations from what a run's policy forms.
+
+    It is that of the best superposition: moved, turned and relabelled, but neither scaled nor mirrored.
+
+    Args:
+        run: A run whose last policy remembers formations.
+        final: Configurations, world units.
+
+    Raises:
+        InputError: The policy remembers no formations.
+    """
+    formed = np.asarray(_network(run).goals(), float)[..., 0]
+    apart = [distance(points, formed, scaling=False, reflection=False) for points in np.asarray(final, float)]
+    return np.array(apart) / run.experiment.world.radius
+
+
+def read_target(path: str | Path, robots: int) -> Float[np.ndarray, "robots 2"]:
+    """Reads a formation from a table start,x,y as files of starts have it, with one start.
+
+    Raises:
+        InputError: The table is unreadable, or is of another number of robots or of several starts.
+    """
+    formations = read_starts(path, robots)
+    check_number(f"{path}: formations", len(formations), 1, 1, integer=True)
+    return formations[0]
+
+
+def _network(run: Run) -> FormationNetwork:
+    network = run.cascade.policies[-1]
+    if not isinstance(network, FormationNetwork):
+        allowed = f"formation: {run.experiment.policy.name} remembers no formations"
+        raise InputError("policy.use", run.experiment.policy.name, allowed)
+    return network

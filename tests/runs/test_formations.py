@@ -1,0 +1,121 @@
+"""What a run's policy remembers, and the same run with another formation to form; from Python and the command line."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import murmurate
+from murmurate.cli.main import main
+from murmurate.discovery import build_cascade
+from murmurate.errors import InputError, RunError
+from murmurate.geometry import smallest_ring
+from murmurate.geometry.similarity import distance
+from murmurate.runs import formations
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """Experiment D with formations that were searched for a few hundred updates, and no way that was learned."""
+    fields = {
+        "policy": {"use": "formation", "formations": 24, "hidden": [8, 4]},
+        "base": {"refine": False, "goals": {"updates": 1200}},
+        "discovery": {"chunk": 400, "episodes": 16, "sigma": 16},
+    }
+    return murmurate.discover("D", out=tmp_path_factory.mktemp("formations") / "run", **fields)
+
+
+def test_what_is_remembered_are_valid_patterns_best_first_each_once(run):
+    classes = run.remembered().classes
+    assert len(classes) > 1
+    values = [pattern.value for pattern in classes]
+    assert values == sorted(values, reverse=True)
+    for pattern in classes:
+        assert pattern.representative.gap >= -1e-9
+        for other in classes:
+            if other is not pattern:
+                assert distance(pattern.representative.positions, other.representative.positions) > 0.125
+
+
+def test_the_best_is_what_the_run_forms(run):
+    final = run.rollout(8, key=3).final
+    assert (formations.distances_to_formed(run, final) < formations.FORMED).all()
+    assert (formations.distances_to_formed(run.forming(1), final) < formations.FORMED).all()
+    assert (formations.distances_to_formed(run.forming(2), final) > formations.FORMED).all()
+
+
+def test_a_swarm_forms_what_it_is_told(run):
+    ring = smallest_ring(6, 0.4, 2.8).positions * 1.3
+    for formation in (2, len(run.remembered().classes), ring, ring + 7.0):
+        other = run.forming(formation)
+        trajectories = other.rollout(8, key=3)
+        assert trajectories.at_rest.all()
+        assert (formations.distances_to_formed(other, trajectories.final) < formations.FORMED).all()
+    assert run.forming(ring).experiment == run.experiment
+
+
+def test_numbers_and_formations_that_cannot_be_formed_are_refused(run):
+    count = len(run.remembered().classes)
+    for number in (0, count + 1, True, 1.5, "2"):
+        with pytest.raises(InputError, match=rf"pattern = .*a number from 1 to {count}"):
+            run.forming(number)
+    ring = smallest_ring(6, 0.4, 2.8).positions
+    with pytest.raises(InputError, match="formation = '5 robots': must be of 6"):
+        run.forming(ring[:5])
+    with pytest.raises(InputError, match=r"two robots 2\.52 apart.*safe_distance = 2\.8"):
+        run.forming(0.9 * ring)
+    with pytest.raises(InputError, match=r"inside the world, 70 x 70"):
+        run.forming(20 * ring)
+    with pytest.raises(InputError, match="finite numbers"):
+        run.forming(np.full((6, 2), np.nan))
+
+
+def test_a_policy_of_another_kind_remembers_nothing(tiny_run):
+    other = murmurate.load(tiny_run("central"))
+    for ask in (lambda: other.remembered(), lambda: other.forming(1)):
+        with pytest.raises(InputError, match="central remembers no formations"):
+            ask()
+
+
+def test_where_no_formation_is_valid_there_are_no_patterns(run):
+    network = run.cascade.policies[-1]
+    crowd = eqx.tree_at(lambda n: n.places, network, jnp.zeros_like(network.places))
+    nothing = replace(run, cascade=build_cascade(run.experiment, [crowd]))
+    with pytest.raises(RunError, match="none of the 24 formations"):
+        nothing.remembered()
+
+
+def test_evaluate_writes_a_run_that_forms_what_it_was_told(run, tmp_path, capsys):
+    folder = str(run.folder)
+    assert main(["evaluate", folder, "--pattern", "2", "--episodes", "8", "--out", str(tmp_path / "second")]) == 0
+    assert "formed within 0.1 R in 8 of 8 episodes" in capsys.readouterr().out
+    second = murmurate.load(tmp_path / "second")
+    best = run.remembered().classes[1].representative.positions
+    assert distance(second.rollout(2).final[0], best, scaling=False) < 0.04
+
+    ring = 1.2 * smallest_ring(6, 0.4, 2.8).positions
+    table = tmp_path / "ring.csv"
+    table.write_text("start,x,y\n" + "".join(f"0,{x},{y}\n" for x, y in ring))
+    assert main(["evaluate", folder, "--target", str(table), "--episodes", "8", "--out", str(tmp_path / "ring")]) == 0
+    assert "formed within 0.1 R in 8 of 8 episodes" in capsys.readouterr().out
+
+    for arguments in (["--pattern", "2"], ["--pattern", "2", "--target", str(table), "--out", str(tmp_path / "x")]):
+        assert main(["evaluate", folder, *arguments]) == 2
+        assert "give one of them, and --out" in capsys.readouterr().err
+    assert main(["evaluate", folder, "--pattern", "99", "--out", str(tmp_path / "x")]) == 2
+    assert "pattern = 99: must be a number from 1 to" in capsys.readouterr().err
+    table.write_text("start,x,y\n" + "".join(f"{n},{x},{y}\n" for n in (0, 1) for x, y in ring))
+    assert main(["evaluate", folder, "--target", str(table), "--out", str(tmp_path / "x")]) == 2
+    assert "ring.csv: formations = 2" in capsys.readouterr().err
+    assert not (tmp_path / "x").exists()
+
+
+def test_the_catalogue_of_what_is_remembered(run, tmp_path, capsys):
+    assert main(["catalogue", str(run.folder), "--remembered", "--out", str(tmp_path / "plate")]) == 0
+    output = capsys.readouterr().out
+    assert "remembered" in output
+    assert (tmp_path / "plate" / "plate.png").exists()
