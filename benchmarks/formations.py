@@ -71,20 +71,13 @@ def pattern_row(name: str, run: murmurate.Run) -> tuple[str, ...]:
     found, annealed = run.remembered(), Catalogue.from_findings(anneal(name))
     missed = unmatched(annealed, [finding.positions for finding in found.findings])
     new = unmatched(found, [finding.positions for finding in annealed.findings])
-    formed = valid = failed = 0
-    shown = min(PATTERNS, len(found.classes))
-    for number in range(1, shown + 1):
-        other = run.forming(number)
-        trajectories = other.rollout(PATTERN_STARTS, key=KEY)
-        validity = murmurate.check_validity(trajectories, run.experiment.world, run.experiment.thresholds)
-        formed += int((formations.distances_to_formed(other, trajectories.final) <= formations.FORMED).sum())
-        valid += int(validity.valid.sum())
-        failed += int((~(validity.contact_free & validity.inside)).sum())
-    episodes = shown * PATTERN_STARTS
+    formed = formations.form_each(run, PATTERNS, PATTERN_STARTS, KEY)
+    episodes = sum(each.episodes for each in formed)
     return (
         *(name, str(run.experiment.world.robots), str(len(found.findings)), str(len(found.classes))),
         *(str(len(annealed.classes)), str(len(annealed.classes) - len(missed)), str(len(new))),
-        *(f"{shown}", f"{formed} of {episodes}", f"{valid} of {episodes}", str(failed)),
+        *(str(len(formed)), f"{sum(each.formed for each in formed)} of {episodes}"),
+        *(f"{sum(each.valid for each in formed)} of {episodes}", str(sum(each.failed for each in formed))),
     )
 
 

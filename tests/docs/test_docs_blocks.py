@@ -12,6 +12,7 @@ SLOW = {
     "benchmarks.md",
     "cookbook.md",
     "discovery.md",
+    "formations.md",
     "problems.md",
     "start.md",
     "swarms.md",

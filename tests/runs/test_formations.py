@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import re
 from dataclasses import replace
 
 import equinox as eqx
@@ -112,6 +114,34 @@ def test_evaluate_writes_a_run_that_forms_what_it_was_told(run, tmp_path, capsys
     assert main(["evaluate", folder, "--target", str(table), "--out", str(tmp_path / "x")]) == 2
     assert "ring.csv: formations = 2" in capsys.readouterr().err
     assert not (tmp_path / "x").exists()
+
+
+def test_many_patterns_in_one_command(tmp_path, capsys):
+    small = ["--policy.formations", "12", "--policy.hidden", "8,4", "--base.refine", "false", "--quiet"]
+    command = ["discover", "D", "--diverse", "40", *small, "--base.goals.updates", "1200"]
+    assert main([*command, "--out", str(tmp_path / "run")]) == 0
+    output = capsys.readouterr().out
+    found = int(re.search(r"(\d+) distinct patterns were discovered, \1 of them formed; 40 were asked for", output)[1])
+    with (tmp_path / "run-patterns" / "formed.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["pattern"] for row in rows] == [f"P{number}" for number in range(1, found + 1)]
+    assert all(row["formed"] == row["valid"] == row["starts"] == "50" and row["failed"] == "0" for row in rows)
+    assert all(float(row["steps"]) >= float(row["bound"]) for row in rows)
+    assert (tmp_path / "run-patterns" / "plate.png").exists()
+
+    for flags, words in (
+        (["--diverse", "0"], "--diverse = 0: must be an integer >= 1"),
+        (["--diverse", "2", "--policy", "central"], "central remembers no formations"),
+        (["--diverse", "2", "--seeds", "2"], "without --seeds"),
+    ):
+        assert main(["discover", "D", *flags, "--out", str(tmp_path / "other")]) == 2
+        assert words in capsys.readouterr().err
+        assert not (tmp_path / "other").exists()
+    (tmp_path / "full-patterns").mkdir()
+    (tmp_path / "full-patterns" / "mine.txt").write_text("mine")
+    assert main([*command, "--out", str(tmp_path / "full")]) == 2
+    assert "holds other files" in capsys.readouterr().err
+    assert not (tmp_path / "full").exists()
 
 
 def test_the_catalogue_of_what_is_remembered(run, tmp_path, capsys):

@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING
 
 from murmurate.cli.arguments import Parser, chosen_strategies
 from murmurate.cli.main import NOTHING_VALID, STATUS, TOO_FEW_VALID
-from murmurate.errors import UsageError
+from murmurate.errors import MAX_INTEGER, UsageError, check_number
 from murmurate.runs.paper import ALLOWED, check_experiment
 from murmurate.terminal import say
 
 if TYPE_CHECKING:
+    from murmurate.runs.experiment import ExperimentConfig
     from murmurate.runs.folder import RunFolder
     from murmurate.runs.run import Run
 
@@ -29,6 +30,7 @@ EVERYDAY = (
     "--quiet",
     "--seed",
     "--seeds",
+    "--diverse",
     "--vary",
     "--objective",
     "--policy",
@@ -50,18 +52,21 @@ def run(argv: Sequence[str]) -> int:
         check_experiment(word)  # before JAX is loaded
     from murmurate.cli.progress import Progress
     from murmurate.learning import sharding
-    from murmurate.runs import presets
+    from murmurate.runs import catalogues, presets
     from murmurate.runs.experiment import read_toml
     from murmurate.runs.folder import RunFolder
     from murmurate.runs.grid import Grid, run_name
     from murmurate.runs.run import Run
     from murmurate.runs.train import discover
 
+    argv = _with_formations(argv)
     options, flags = _parser(word, argv).parse(argv)
     _join(options)
     overlay = read_toml(options.config) if options.config else {}
     folders = _module_folders(options.config)
     config = presets.resolve(options.experiment, overlay, flags, learner=options.learner, folders=folders)
+    if options.diverse is not None:
+        _check_diverse(options, config)
     name = run_name(config.name, options.learner or config.policy.name)
     initial = None if options.initial is None else Run.open(options.initial, options.trust)
     if options.seeds is not None or options.vary:
@@ -74,6 +79,8 @@ def run(argv: Sequence[str]) -> int:
     if options.together is not None:
         raise UsageError("--together is for many runs: it needs --seeds or --vary")
     folder = RunFolder(options.out or Path("runs") / run_name(name, f"seed{config.seed}"))
+    if options.diverse is not None:
+        catalogues.check_target(_patterns_folder(folder))  # before anything is trained
     try:
         if not sharding.is_first():
             discover(config, folder.path, options.resume, initial=initial)
@@ -83,7 +90,52 @@ def run(argv: Sequence[str]) -> int:
     except KeyboardInterrupt:
         text = f"interrupted; add --resume to the same command to go on with {folder.path}"
         raise KeyboardInterrupt(text) from None
-    return _print_results(discovered, folder)
+    status = _print_results(discovered, folder)
+    if options.diverse is not None and status != NOTHING_VALID:
+        _form_each(discovered, folder, options.diverse, options.quiet)
+    return status
+
+
+def _patterns_folder(folder: RunFolder) -> Path:
+    """Returns where the patterns that a run remembers are catalogued."""
+    return Path(f"{folder.path}-patterns")
+
+
+def _with_formations(argv: Sequence[str]) -> Sequence[str]:
+    """Returns the command line with the policy that many patterns need, where it names none."""
+    names = {word.partition("=")[0] for word in argv}
+    return [*argv, "--policy", "formation"] if "--diverse" in names and not names & {"--policy", "--learner"} else argv
+
+
+def _check_diverse(options: Namespace, config: ExperimentConfig) -> None:
+    """Refuses a number of patterns that is none, or that cannot be discovered so."""
+    check_number("--diverse", options.diverse, 1, MAX_INTEGER, integer=True)
+    if not config.policy.has_goals:
+        raise UsageError(f"--diverse needs the policy formation: {config.policy.name} remembers no formations")
+    if options.seeds is not None or options.vary or options.hosts is not None:
+        raise UsageError("--diverse is for one run: give it without --seeds, --vary and --hosts")
+
+
+def _form_each(run: Run, folder: RunFolder, count: int, quiet: bool) -> None:
+    """Catalogues the patterns that a run remembers, and lets swarms form the best ones."""
+    from rich.console import Console
+
+    from murmurate.cli.catalogue import show
+    from murmurate.cli.progress import Progress
+    from murmurate.runs import formations, sweep, table
+
+    out = _patterns_folder(folder)
+    patterns = run.remembered()
+    with Progress(quiet=quiet) as progress:
+        formed = formations.form_each(run, count, on_progress=progress.update)
+    show(patterns, out)
+    rows = [each.row() for each in formed]
+    sweep.write_csv(out / "formed.csv", [dict(zip(formations.FORMED_HEADER, row, strict=True)) for row in rows])
+    Console().print(table.as_rich(formations.FORMED_HEADER, rows))
+    found = len(patterns.classes)
+    lacking = "" if found >= count else f"; {count} were asked for: try more --policy.formations"
+    say(f"{found} distinct patterns were discovered, {len(formed)} of them formed{lacking}")
+    say(f"formed: {out / 'formed.csv'}; to form one: murmurate evaluate {folder.path} --pattern 2 --out DIR")
 
 
 def _module_folders(config: str | None) -> list[Path]:
@@ -112,6 +164,8 @@ def _parser(word: str | None, argv: Sequence[str]) -> Parser:
     text = "import the modules that the run of --from names, which executes them"
     parser.add_argument("--trust", action="store_true", help=text)
     parser.add_argument("--quiet", action="store_true", help="do not show the progress")
+    text = "discover this many distinct patterns, with the policy formation, and form each of them from 50 starts"
+    parser.add_argument("--diverse", type=int, metavar="INT", help=text)
     many = "train this many seeds, from --seed on, and catalogue what they find; --out is then the folder of all"
     parser.add_argument("--seeds", type=int, metavar="INT", help=many)
     vary = "with every seed, train with each of these values; may be given for several fields"

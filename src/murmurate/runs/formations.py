@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,21 +12,33 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from murmurate.analysis import Catalogue, Finding
+from murmurate.analysis import Catalogue, Finding, PatternClass
 from murmurate.analysis.optimum.best_known import best_known
 from murmurate.analysis.optimum.formation import Target
 from murmurate.discovery import build_cascade
-from murmurate.discovery.validity import check_pattern, replaced_conditions
-from murmurate.errors import InputError, RunError, check_number
+from murmurate.discovery.validity import bound_steps, check_pattern, check_validity, replaced_conditions
+from murmurate.errors import MAX_INTEGER, InputError, RunError, check_number
 from murmurate.geometry import distances
 from murmurate.geometry.similarity import configuration, distance
 from murmurate.policies.formation import FormationNetwork
+from murmurate.representation import short_repr
+from murmurate.runs.table import gap
 from murmurate.world import Configuration, Objective, read_starts
 
 if TYPE_CHECKING:
     from murmurate.runs.run import Run
 
-__all__ = ["FORMED", "distances_to_formed", "forming", "pattern", "read_target", "remembered"]
+__all__ = [
+    "FORMED",
+    "FORMED_HEADER",
+    "Formed",
+    "distances_to_formed",
+    "form_each",
+    "forming",
+    "pattern",
+    "read_target",
+    "remembered",
+]
 
 FORMED = 0.1
 """Root mean square distance in radii within which a formation counts as formed."""
@@ -118,6 +131,88 @@ def forming(run: Run, formation: Any) -> Run:
     other = network.remembering(jnp.asarray(places, jnp.float32))
     policies = (*run.cascade.policies[:-1], other)
     return replace(run, cascade=build_cascade(run.experiment, policies))
+
+
+@dataclass(frozen=True)
+class Formed:
+    """How a run forms one of the patterns that it remembers.
+
+    Attributes:
+        pattern: The class of the pattern.
+        episodes: How many starts there were.
+        formed: In how many of them the swarm came to rest within `FORMED` radii of it.
+        valid: In how many of them it formed a valid pattern.
+        failed: In how many of them there was a contact or an exit.
+        steps: Formation steps, mean.
+        bound: The kinematic bound, mean.
+    """
+
+    pattern: PatternClass
+    episodes: int
+    formed: int
+    valid: int
+    failed: int
+    steps: float
+    bound: float
+
+    __repr__ = short_repr
+
+    def row(self) -> tuple[str, ...]:
+        """Returns the texts of a table's row, under `FORMED_HEADER`."""
+        pattern = self.pattern
+        known = None if pattern.gap is None else pattern.gap + pattern.value
+        return (
+            *(pattern.name, pattern.symmetry.name, "+".join(map(str, pattern.layers)), f"{pattern.value:.4f}"),
+            *(gap({"gap": pattern.gap, "best_known": known}), str(self.episodes), str(self.formed), str(self.valid)),
+            *(str(self.failed), f"{self.steps:.1f}", f"{self.bound:.1f}"),
+        )
+
+
+FORMED_HEADER = (
+    *("pattern", "symmetry", "layers", "objective", "gap", "starts", "formed", "valid", "failed", "steps", "bound"),
+)
+
+
+def form_each(
+    run: Run, count: int, episodes: int = 50, key: int = 0, on_progress: Callable[..., None] | None = None
+) -> list[Formed]:
+    """Lets swarms form the best patterns that a run remembers, each from the same fresh starts.
+
+    Args:
+        run: The run.
+        count: How many patterns, best first; all where there are fewer.
+        episodes: Starts for each.
+        key: Seed of the starts.
+        on_progress: Called as `on_progress(work, done, total)` before and after each pattern.
+
+    Raises:
+        InputError: A number is out of bounds, or the policy remembers no formations.
+        RunError: None of its formations is a valid pattern.
+    """
+    check_number("count", count, 1, MAX_INTEGER, integer=True)
+    results, world = [], run.experiment.world
+    classes = remembered(run).classes[:count]
+    for done, pattern in enumerate(classes):
+        if on_progress is not None:
+            on_progress("patterns formed", done, len(classes))
+        other = forming(run, pattern.representative.positions)
+        trajectories = other.rollout(episodes, key)
+        validity = check_validity(trajectories, world, run.experiment.thresholds)
+        pairs = zip(trajectories.positions[:, 0], trajectories.final, strict=True)
+        results.append(
+            Formed(
+                pattern=pattern,
+                episodes=episodes,
+                formed=int((distances_to_formed(other, trajectories.final) <= FORMED).sum()),
+                valid=int(validity.valid.sum()),
+                failed=int((~(validity.contact_free & validity.inside)).sum()),
+                steps=float(trajectories.lengths.mean()),
+                bound=float(np.mean([bound_steps(start, final, world.max_speed) for start, final in pairs])),
+            )
+        )
+    if on_progress is not None:
+        on_progress("patterns formed", len(classes), len(classes))
+    return results
 
 
 def distances_to_formed(run: Run, final: Float[np.ndarray, "episodes robots 2"]) -> Float[np.ndarray, " episodes"]:

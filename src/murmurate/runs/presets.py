@@ -291,7 +291,8 @@ def _experiment(name: str, objective: Any, world: WorldConfig, start: Start, lea
 
 def _unrefined(config: ExperimentConfig) -> ExperimentConfig:
     """Returns a preset without refinement by gradients, which would know nothing of signals of one's own."""
-    if not config.base.refine:
+    # What refines a policy that has goals is how near it comes to them, whatever they are made of.
+    if not config.base.refine or config.policy.has_goals:
         return config
     base, auxiliary = replace(config.base, refine=False), replace(config.auxiliary, learner="ppo")
     discovery = replace(config.discovery, min_policies=2, max_policies=3)
