@@ -1,14 +1,16 @@
 """Trains policies that remember formations on the paper's experiments and measures them: `make formations`.
 
-python -m benchmarks.formations [--runs runs] [--docs docs] [--seeds 0 1 2] [--experiments A C] [--only-finished]
+python -m benchmarks.formations [--runs runs] [--docs docs] [--seeds 0 1] [--experiments A C] [--only-finished]
 
-Writes the tables of docs/formations.md and docs/figures/formations.png. Finished runs are reused.
+Writes the tables and the figures of docs/formations.md. Finished runs are reused.
 """
 
 from __future__ import annotations
 
 import argparse
 import itertools
+import shutil
+import tempfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,6 +20,7 @@ import murmurate
 from benchmarks.seeds import anneal
 from murmurate import plots
 from murmurate.analysis import Catalogue, unmatched
+from murmurate.cli.catalogue import PLATE, show
 from murmurate.discovery import bound_steps
 from murmurate.discovery.validity import check_pattern
 from murmurate.runs import files, formations, table
@@ -154,7 +157,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--runs", type=Path, default=Path("runs"))
     parser.add_argument("--docs", type=Path, default=Path("docs"))
-    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1])
     parser.add_argument("--experiments", nargs="+", default=list(EXPERIMENTS), choices=list(EXPERIMENTS))
     parser.add_argument("--only-finished", action="store_true", help="train nothing: write what the finished runs show")
     options = parser.parse_args()
@@ -179,6 +182,10 @@ def main() -> None:
     recordings = [plots.Recording.open(run.folder) for run in first.values()]
     figure = plots.patterns_figure(recordings, list(first))
     plots.save(figure, options.docs / "figures" / "formations.png", dpi=110)
+    if "E" in first:
+        with tempfile.TemporaryDirectory() as folder:
+            show(first["E"].remembered(), Path(folder))
+            shutil.copy(Path(folder) / PLATE, options.docs / "figures" / "remembered.png")
     document = options.docs / "formations.md"
     before, _, rest = document.read_text(encoding="utf-8").partition(BEGIN)
     files.write_text(document, f"{before}{BEGIN}\n{page(runs, sizes, options.seeds[0])}{END}{rest.partition(END)[2]}")

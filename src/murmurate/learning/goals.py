@@ -46,6 +46,7 @@ class GoalConfig:
             first robots sort out who sees whom, then they close up.
     """
 
+    # No step is taken: where steps are counted, an update counts as one.
     worlds: ClassVar[int] = 1
     steps: ClassVar[int] = 1
     minibatches: ClassVar[int] = 1
