@@ -20,9 +20,9 @@ import murmurate
 from benchmarks.seeds import anneal
 from murmurate import plots
 from murmurate.analysis import Catalogue, unmatched
+from murmurate.analysis.measures import nearest_distances
 from murmurate.cli.catalogue import PLATE, show
 from murmurate.discovery import bound_steps
-from murmurate.discovery.validity import check_pattern
 from murmurate.runs import files, formations, table
 from murmurate.runs.evaluate import EPISODES
 from murmurate.runs.paper import EXPERIMENTS
@@ -35,6 +35,8 @@ KEY = 7
 """Seed of starts; training has other starts."""
 PATTERNS, PATTERN_STARTS = 20, 50
 """How many of the remembered patterns are formed, from how many starts each."""
+MORE, MORE_OF = 1024, ("E", "F")
+"""How many formations are searched in further runs, and of which experiments."""
 TARGET_COLUMNS = ("formed", "contact or exit", "steps / bound")
 TARGETS, TARGET_STARTS, TARGET_SIZES = 100, 5, (4, 8, 12)
 """How many random formations are formed, from how many starts each, by how many robots."""
@@ -77,7 +79,8 @@ def pattern_row(name: str, run: murmurate.Run) -> tuple[str, ...]:
     formed = formations.form_each(run, PATTERNS, PATTERN_STARTS, KEY)
     episodes = sum(each.episodes for each in formed)
     return (
-        *(name, str(run.experiment.world.robots), str(len(found.findings)), str(len(found.classes))),
+        *(name, str(run.experiment.world.robots), str(run.cascade.policies[-1].goals().shape[-1])),
+        *(str(len(found.findings)), str(len(found.classes))),
         *(str(len(annealed.classes)), str(len(annealed.classes) - len(missed)), str(len(new))),
         *(str(len(formed)), f"{sum(each.formed for each in formed)} of {episodes}"),
         *(f"{sum(each.valid for each in formed)} of {episodes}", str(sum(each.failed for each in formed))),
@@ -85,16 +88,14 @@ def pattern_row(name: str, run: murmurate.Run) -> tuple[str, ...]:
 
 
 def random_targets(run: murmurate.Run) -> list[np.ndarray]:
-    """Draws random formations in which all see each other and keep the safe distance: points, made wide enough."""
+    """Draws random formations that fit the world: points so narrow that the nearest two are a safe distance apart."""
     world, random, targets = run.experiment.world, np.random.default_rng(KEY), []
     while len(targets) < TARGETS:
         points = random.uniform(-1, 1, (world.robots, 2))
-        points = world.safe_distance * (points - points.mean(axis=0))
-        for scale in np.geomspace(0.5, 8, 40):
-            flags = check_pattern(scale * points[None], world)
-            if all(flag.all() for flag in flags.values()):
-                targets.append(scale * points)
-                break
+        points -= points.mean(axis=0)
+        points *= 1.001 * world.safe_distance / nearest_distances(points).min()
+        if (np.abs(points).max(axis=0) + world.radius <= world.limits).all():
+            targets.append(points)
     return targets
 
 
@@ -118,8 +119,10 @@ def target_row(run: murmurate.Run) -> tuple[str, ...]:
     return (str(run.experiment.world.robots), *cells)
 
 
-def page(runs: dict[tuple[str, int], murmurate.Run], sizes: list[murmurate.Run], first: int) -> str:
-    """Returns the tables of finished runs, by experiment and seed, and of those of other sizes."""
+def page(
+    runs: dict[tuple[str, int], murmurate.Run], more: dict[str, murmurate.Run], sizes: list[murmurate.Run], first: int
+) -> str:
+    """Returns the tables of finished runs: by experiment and seed, with more formations, and of other sizes."""
     own, others, patterns = [], [], []
     for (name, seed), run in runs.items():
         own.append(own_row(name, seed, run))
@@ -128,11 +131,12 @@ def page(runs: dict[tuple[str, int], murmurate.Run], sizes: list[murmurate.Run],
         if seed == first:
             patterns.append(pattern_row(name, run))
             print(*patterns[-1], flush=True)
+    patterns += [pattern_row(name, run) for name, run in more.items()]
     targets = [target_row(run) for run in sizes]
     print(targets, flush=True)
     header = ("", "seed", "valid", "contact or exit", "steps", "paper's", "bound", "steps / bound", "gap", "training")
     pattern_header = (
-        *("", "robots", "valid formations", "distinct", "annealed", "of these found", "never annealed"),
+        *("", "robots", "searched", "valid", "distinct", "annealed", "of these found", "never annealed"),
         *("told", "formed", "valid", "contact or exit"),
     )
     target_header = ("robots", *(f"{word}{start}" for start in ("", ", corner") for word in TARGET_COLUMNS))
@@ -170,6 +174,14 @@ def main() -> None:
         else:
             fields = {"policy": "formation", "seed": seed}
             runs[name, seed] = murmurate.discover(name, out=folder, resume=folder.exists(), **fields)
+    more = {}
+    for name in set(MORE_OF) & set(options.experiments):
+        folder = options.runs / f"{name}-formation-{MORE}-seed0"
+        if not options.only_finished:
+            policy = {"use": "formation", "formations": MORE}
+            more[name] = murmurate.discover(name, out=folder, resume=folder.exists(), policy=policy)
+        elif (folder / "manifest.json").exists():
+            more[name] = murmurate.load(folder)
     sizes = []
     for robots in TARGET_SIZES:
         folder = options.runs / f"formation-{robots}-seed0"
@@ -188,7 +200,8 @@ def main() -> None:
             shutil.copy(Path(folder) / PLATE, options.docs / "figures" / "remembered.png")
     document = options.docs / "formations.md"
     before, _, rest = document.read_text(encoding="utf-8").partition(BEGIN)
-    files.write_text(document, f"{before}{BEGIN}\n{page(runs, sizes, options.seeds[0])}{END}{rest.partition(END)[2]}")
+    tables = page(runs, dict(sorted(more.items())), sizes, options.seeds[0])
+    files.write_text(document, f"{before}{BEGIN}\n{tables}{END}{rest.partition(END)[2]}")
 
 
 if __name__ == "__main__":

@@ -143,9 +143,11 @@ class Reader:
         hidden = ["--policy.hidden", "8,8"]
         if arguments[1] in PROBLEMS:  # policies for swarms of any size
             return [*hidden, "--sizes", "4", "--discovery.max_policies", "1"]
-        if "--policy" in arguments:
+        if "formation" in arguments or "--diverse" in arguments:
             # A swarm of three has one pattern, and pages form the second.
-            return [*hidden, "--world.robots", "6" if "formation" in arguments else "3"]
+            return [*hidden, "--world.robots", "6"]
+        if "--policy" in arguments:
+            return [*hidden, "--world.robots", "3"]
         files = [self.folder / word for word in arguments if word.endswith(".toml")]
         tables = [tomllib.loads(path.read_text("utf-8")).get("policy", {}) for path in files]
         return [] if any(":" in table.get("use", "") for table in tables) else ["--policy", "central", *hidden]
