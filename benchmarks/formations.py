@@ -199,8 +199,8 @@ def main() -> None:
             show(first["E"].remembered(), Path(folder))
             shutil.copy(Path(folder) / PLATE, options.docs / "figures" / "remembered.png")
     document = options.docs / "formations.md"
-    before, _, rest = document.read_text(encoding="utf-8").partition(BEGIN)
     tables = page(runs, dict(sorted(more.items())), sizes, options.seeds[0])
+    before, _, rest = document.read_text(encoding="utf-8").partition(BEGIN)
     files.write_text(document, f"{before}{BEGIN}\n{tables}{END}{rest.partition(END)[2]}")
 
 

@@ -104,8 +104,9 @@ def main() -> None:
     figure = plots.patterns_figure(recordings, list(first))
     plots.save(figure, options.docs / "figures" / "problems.png", dpi=110)
     document = options.docs / "problems.md"
+    tables = page(runs)
     before, _, rest = document.read_text(encoding="utf-8").partition(BEGIN)
-    files.write_text(document, f"{before}{BEGIN}\n{page(runs)}{END}{rest.partition(END)[2]}")
+    files.write_text(document, f"{before}{BEGIN}\n{tables}{END}{rest.partition(END)[2]}")
 
 
 if __name__ == "__main__":

@@ -281,7 +281,7 @@ def test_help_shows_the_defaults_of_the_experiment(capsys):
         assert f"usage: murmurate {verb}" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(("verb", "flags"), [("discover", 12), ("optimum", 8)])
+@pytest.mark.parametrize(("verb", "flags"), [("discover", 13), ("optimum", 8)])
 def test_help_is_one_page_and_help_all_has_every_field(verb, flags, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
     assert main([verb, "A", "--help"]) == 0
