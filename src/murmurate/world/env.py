@@ -366,7 +366,7 @@ class ShortfallReward(Wrapper):
 
 
 class GoalValue(Wrapper):
-    """Says what configurations are worth in which robots could come to rest, without moving any robot.
+    """Values configurations in which robots could come to rest, without moving any robot.
 
     Attributes:
         softness: Of the soft signals of the objective, at the beginning of a training.
