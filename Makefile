@@ -6,7 +6,8 @@ EXPERIMENT ?= C
 SEED ?= 0
 # With constraints-oldest.txt, give another VENV too: what is installed already stays.
 CONSTRAINTS ?= constraints.txt
-OUT ?= runs/$(EXPERIMENT)-equivariant-seed$(SEED)
+# By default runs/EXPERIMENT-LEARNER-seedSEED.
+OUT ?=
 
 .PHONY: discover test pytest test-nightly lint dist docs figures-docs benchmark results problems formations seeds optima pretrained models compare clean
 
@@ -31,7 +32,7 @@ $(VENV)/.dev: $(VENV)/.core
 
 # Exit status 5: the run is finished, with fewer valid patterns than asked for, which it says itself.
 discover: $(VENV)/.core  ## train (or go on), evaluate and draw one experiment (EXPERIMENT=C SEED=0 OUT=runs/...)
-	$(BIN)/murmurate discover $(EXPERIMENT) --seed $(SEED) --out $(OUT) --resume || [ $$? -eq 5 ]
+	$(BIN)/murmurate discover $(EXPERIMENT) --seed $(SEED) $(if $(OUT),--out $(OUT)) --resume || [ $$? -eq 5 ]
 
 test: lint pytest  ## style, types, layers and the tests (8 minutes on two cores)
 
@@ -71,10 +72,10 @@ results: $(VENV)/.core  ## trains A-F with each learner and five seeds (hours); 
 problems: $(VENV)/.core  ## trains the problems of the package for 4 to 10 robots (an hour); writes docs/problems.md
 	$(BIN)/python -m benchmarks.problems
 
-formations: $(VENV)/.core  ## trains A-F with policies that remember formations (an hour); writes docs/formations.md
+formations: $(VENV)/.core  ## other patterns than the best, and random ones (an hour); writes docs/formations.md
 	$(BIN)/python -m benchmarks.formations
 
-seeds: $(VENV)/.core  ## trains sixteen seeds of A-F with the default learner (hours); writes docs/discoveries.md
+seeds: $(VENV)/.core  ## searches formations of A-F with sixteen seeds (an hour); writes docs/discoveries.md
 	$(BIN)/python -m benchmarks.seeds
 
 optima: $(VENV)/.core  ## searches for better patterns than the best known (two hours); keeps what is better

@@ -1,14 +1,13 @@
-"""Trains policies that remember formations on the paper's experiments and measures them: `make formations`.
+"""Measures how policies that remember formations form other patterns than the best one: `make formations`.
 
-python -m benchmarks.formations [--runs runs] [--docs docs] [--seeds 0 1] [--experiments A C] [--only-finished]
+python -m benchmarks.formations [--runs runs] [--docs docs] [--experiments A C] [--only-finished]
 
-Writes the tables and the figures of docs/formations.md. Finished runs are reused.
+Writes the tables and the figure of docs/formations.md. Trains what is missing; finished runs are reused.
 """
 
 from __future__ import annotations
 
 import argparse
-import itertools
 import shutil
 import tempfile
 from dataclasses import replace
@@ -18,19 +17,15 @@ import numpy as np
 
 import murmurate
 from benchmarks.seeds import anneal
-from murmurate import plots
 from murmurate.analysis import Catalogue, unmatched
 from murmurate.analysis.measures import nearest_distances
 from murmurate.cli.catalogue import PLATE, show
 from murmurate.discovery import bound_steps
 from murmurate.runs import files, formations, table
-from murmurate.runs.evaluate import EPISODES
 from murmurate.runs.paper import EXPERIMENTS
 from murmurate.world import Start
 
 BEGIN, END = "<!-- measured formations -->", "<!-- end of measured formations -->"
-STARTS = ("random", "cluster", "corner", "wall", "walls", "tight-grid", "surrounded", "symmetric")
-"""Starts other than an experiment's own."""
 KEY = 7
 """Seed of starts; training has other starts."""
 PATTERNS, PATTERN_STARTS = 20, 50
@@ -42,41 +37,12 @@ TARGETS, TARGET_STARTS, TARGET_SIZES = 100, 5, (4, 8, 12)
 """How many random formations are formed, from how many starts each, by how many robots."""
 
 
-def own_row(name: str, seed: int, run: murmurate.Run) -> tuple[str, ...]:
-    """Returns what a run's evaluation says, from 200 fresh starts of its experiment."""
-    summary = files.read_json(run.folder / "evaluation.json")
-    steps, bound = summary["total_steps"], summary["bound_steps"]
-    return (
-        name,
-        str(seed),
-        str(round(EPISODES * summary["valid"])),
-        str(round(EPISODES * (1 - min(summary["contact_free"], summary["inside"])))),
-        f"{steps:.1f}",
-        f"{EXPERIMENTS[name].total_steps:.2f}",
-        f"{bound:.1f}",
-        f"{steps / bound:.2f}",
-        f"{100 * summary['gap'] / summary['best_known']:.3f}%",
-        f"{run.manifest['train_seconds']:.0f} s",
-    )
-
-
-def other_cell(run: murmurate.Run, start: Start) -> str:
-    """Executes a policy from other starts: valid of 200, (contact or exit), steps over the bound."""
-    run = run.under(replace(run.experiment, start=start))
-    trajectories, world = run.rollout(EPISODES, key=KEY), run.experiment.world
-    validity = murmurate.check_validity(trajectories, world, run.experiment.thresholds)
-    failed = int((~(validity.contact_free & validity.inside)).sum())
-    pairs = zip(trajectories.positions[:, 0], trajectories.final, strict=True)
-    bound = np.mean([bound_steps(start, final, world.max_speed) for start, final in pairs])
-    return f"{int(validity.valid.sum())} ({failed}) {trajectories.lengths.mean() / bound:.2f}"
-
-
 def pattern_row(name: str, run: murmurate.Run) -> tuple[str, ...]:
     """Counts the patterns that a run remembers beside those that annealing finds; swarms form the best ones."""
     found, annealed = run.remembered(), Catalogue.from_findings(anneal(name))
     missed = unmatched(annealed, [finding.positions for finding in found.findings])
     new = unmatched(found, [finding.positions for finding in annealed.findings])
-    formed = formations.form_each(run, PATTERNS, PATTERN_STARTS, KEY)
+    formed = formations.form_each(run, found.classes[:PATTERNS], PATTERN_STARTS, KEY)
     episodes = sum(each.episodes for each in formed)
     return (
         *(name, str(run.experiment.world.robots), str(run.cascade.policies[-1].goals().shape[-1])),
@@ -119,22 +85,14 @@ def target_row(run: murmurate.Run) -> tuple[str, ...]:
     return (str(run.experiment.world.robots), *cells)
 
 
-def page(
-    runs: dict[tuple[str, int], murmurate.Run], more: dict[str, murmurate.Run], sizes: list[murmurate.Run], first: int
-) -> str:
-    """Returns the tables of finished runs: by experiment and seed, with more formations, and of other sizes."""
-    own, others, patterns = [], [], []
-    for (name, seed), run in runs.items():
-        own.append(own_row(name, seed, run))
-        others.append((name, str(seed), *(other_cell(run, Start.registered()[start]()) for start in STARTS)))
-        print(*own[-1], *others[-1], flush=True)
-        if seed == first:
-            patterns.append(pattern_row(name, run))
-            print(*patterns[-1], flush=True)
-    patterns += [pattern_row(name, run) for name, run in more.items()]
+def page(runs: dict[str, murmurate.Run], more: dict[str, murmurate.Run], sizes: list[murmurate.Run]) -> str:
+    """Returns the tables of finished runs: by experiment, with more formations, and of other sizes."""
+    patterns = []
+    for name, run in (*runs.items(), *more.items()):
+        patterns.append(pattern_row(name, run))
+        print(*patterns[-1], flush=True)
     targets = [target_row(run) for run in sizes]
     print(targets, flush=True)
-    header = ("", "seed", "valid", "contact or exit", "steps", "paper's", "bound", "steps / bound", "gap", "training")
     pattern_header = (
         *("", "robots", "searched", "valid", "distinct", "annealed", "of these found", "never annealed"),
         *("told", "formed", "valid", "contact or exit"),
@@ -142,11 +100,7 @@ def page(
     target_header = ("robots", *(f"{word}{start}" for start in ("", ", corner") for word in TARGET_COLUMNS))
     return "\n".join(
         (
-            f"From {EPISODES} fresh starts of each experiment:\n",
-            table.as_markdown(header, own),
-            f"From {EPISODES} other starts each: valid, (contact or exit), steps over the bound:\n",
-            table.as_markdown(("", "seed", *STARTS), others),
-            f"Patterns that the runs of seed {first} remember, beside those that annealing finds, and\n"
+            "Patterns that the runs of seed 0 remember, beside those that annealing finds, and\n"
             f"the best of them formed from {PATTERN_STARTS} starts each:\n",
             table.as_markdown(pattern_header, patterns),
             f"{TARGETS} random formations that were never trained, from {TARGET_STARTS} random starts each, and\n"
@@ -161,45 +115,27 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--runs", type=Path, default=Path("runs"))
     parser.add_argument("--docs", type=Path, default=Path("docs"))
-    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1])
     parser.add_argument("--experiments", nargs="+", default=list(EXPERIMENTS), choices=list(EXPERIMENTS))
     parser.add_argument("--only-finished", action="store_true", help="train nothing: write what the finished runs show")
     options = parser.parse_args()
-    runs = {}
-    for name, seed in itertools.product(options.experiments, options.seeds):
-        folder = options.runs / f"{name}-formation-seed{seed}"
+
+    def run(name: str, experiment: str, **fields: object) -> murmurate.Run | None:
+        folder = options.runs / name
         if options.only_finished:
-            if (folder / "manifest.json").exists():
-                runs[name, seed] = murmurate.load(folder)
-        else:
-            fields = {"policy": "formation", "seed": seed}
-            runs[name, seed] = murmurate.discover(name, out=folder, resume=folder.exists(), **fields)
-    more = {}
-    for name in set(MORE_OF) & set(options.experiments):
-        folder = options.runs / f"{name}-formation-{MORE}-seed0"
-        if not options.only_finished:
-            policy = {"use": "formation", "formations": MORE}
-            more[name] = murmurate.discover(name, out=folder, resume=folder.exists(), policy=policy)
-        elif (folder / "manifest.json").exists():
-            more[name] = murmurate.load(folder)
-    sizes = []
-    for robots in TARGET_SIZES:
-        folder = options.runs / f"formation-{robots}-seed0"
-        if not options.only_finished:
-            fields = {"policy": "formation", "world": {"robots": robots}, "start": "random"}
-            sizes.append(murmurate.discover("E", out=folder, resume=folder.exists(), **fields))
-        elif (folder / "manifest.json").exists():
-            sizes.append(murmurate.load(folder))
-    first = {name: run for (name, seed), run in runs.items() if seed == options.seeds[0]}
-    recordings = [plots.Recording.open(run.folder) for run in first.values()]
-    figure = plots.patterns_figure(recordings, list(first))
-    plots.save(figure, options.docs / "figures" / "formations.png", dpi=110)
-    if "E" in first:
+            return murmurate.load(folder) if (folder / "manifest.json").exists() else None
+        return murmurate.discover(experiment, out=folder, resume=folder.exists(), **fields)
+
+    policy = {"use": "formation", "formations": MORE}
+    runs = {name: run(f"{name}-formation-seed0", name) for name in options.experiments}
+    more = {name: run(f"{name}-formation-{MORE}-seed0", name, policy=policy) for name in MORE_OF if name in runs}
+    sizes = [run(f"formation-{robots}-seed0", "E", world={"robots": robots}, start="random") for robots in TARGET_SIZES]
+    runs, more = ({name: run for name, run in some.items() if run is not None} for some in (runs, more))
+    if "E" in runs:
         with tempfile.TemporaryDirectory() as folder:
-            show(first["E"].remembered(), Path(folder))
+            show(runs["E"].remembered(), Path(folder))
             shutil.copy(Path(folder) / PLATE, options.docs / "figures" / "remembered.png")
     document = options.docs / "formations.md"
-    tables = page(runs, dict(sorted(more.items())), sizes, options.seeds[0])
+    tables = page(runs, more, [run for run in sizes if run is not None])
     before, _, rest = document.read_text(encoding="utf-8").partition(BEGIN)
     files.write_text(document, f"{before}{BEGIN}\n{tables}{END}{rest.partition(END)[2]}")
 

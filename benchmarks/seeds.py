@@ -10,23 +10,30 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import murmurate
 from murmurate import plots
 from murmurate.analysis import Catalogue, Finding, PatternClass, unmatched, upright
 from murmurate.analysis.optimum.formation import Target
 from murmurate.analysis.optimum.polish import polish
 from murmurate.analysis.optimum.search import Formation, OptimumConfig, annealed
-from murmurate.runs import catalogues, table
-from murmurate.runs.evaluate import EPISODES
+from murmurate.runs import table
 from murmurate.runs.execute import LocalProcesses, run_jobs
+from murmurate.runs.formations import Formed, form_each
 from murmurate.runs.grid import Grid
 from murmurate.runs.jobs import training_jobs
 from murmurate.runs.paper import EXPERIMENTS
-from murmurate.runs.presets import preset
+from murmurate.runs.presets import DEFAULT_LEARNER, preset
 
 SEEDS = 16
 
+SEARCHED = "searches"
+"""Folder of the searches, in that of the runs: they have the names of trainings."""
+
 SEARCHES, POLISHED = 1, 256
 """Annealings of each problem, and how many of the 256 chains of each are polished: all, poor local optima too."""
+
+STARTS, KEY = 5, 7
+"""From how many starts each pattern is formed, and their seed; training has other starts."""
 
 MAX_DRAWN = 14
 
@@ -37,40 +44,49 @@ class Study:
 
     Attributes:
         experiment: A to F.
-        catalogue: What its runs discovered; None where no pattern was valid.
+        searched: How many formations the searches of all seeds began with.
+        catalogue: The valid patterns among them, in classes.
         annealed: What annealing found: valid patterns, in classes too.
-        unseen: Classes of the runs that annealing never found.
+        unseen: Classes of the searches that annealing never found.
         tightened: Those of them, polished, that annealing did not find either.
-        missed: Classes of the annealing that no run discovered.
+        missed: Classes of the annealing that no search found.
+        formed: How a swarm forms each class of the searches.
     """
 
     experiment: str
-    catalogue: Catalogue | None
+    searched: int
+    catalogue: Catalogue
     annealed: Catalogue
     unseen: tuple[PatternClass, ...]
     tightened: tuple[PatternClass, ...]
     missed: tuple[PatternClass, ...]
+    formed: tuple[Formed, ...]
+
+
+def searches(experiment: str, seeds: int) -> Grid:
+    """Returns the searches for formations of all seeds, without the way into any."""
+    return Grid.product([experiment], learners=[DEFAULT_LEARNER], seeds=seeds, fields={"base.refine": False})
+
+
+def trained(experiment: str) -> Grid:
+    """Returns the training whose policy forms the patterns; `make results` has it too."""
+    return Grid.product([experiment], learners=[DEFAULT_LEARNER], seeds=1)
 
 
 def study(experiment: str, seeds: int, runs: Path) -> Study:
-    """Sorts what the runs of one experiment discovered, anneals the same problem, and compares."""
-    folders = [runs / f"{experiment}-equivariant-seed{seed}" for seed in range(seeds)]
-    findings = [finding for folder in folders for finding in catalogues.read_findings(folder)]
-    discovered = Catalogue.from_findings(findings) if findings else None
+    """Sorts what the searches of one experiment found, anneals the same problem, compares, and forms each pattern."""
+    found = [murmurate.load(runs / SEARCHED / name) for name in searches(experiment, seeds).runs]
+    searched = sum(run.cascade.policies[-1].goals().shape[-1] for run in found)
+    discovered = Catalogue.from_findings([finding for run in found for finding in run.remembered().findings])
     reference = Catalogue.from_findings(anneal(experiment))
-    if discovered is None:
-        return Study(experiment, None, reference, (), (), reference.classes)
     ends = [finding.positions for finding in reference.findings]
     unseen = unmatched(discovered, ends)
     tight = [finding for pattern in unseen if (finding := _polished(experiment, pattern)) is not None]
     tightened = unmatched(Catalogue.from_findings(tight), ends) if tight else ()
-    # By the same measure: the annealed classes of which no member is one of the runs' representatives.
-    missed = tuple(
-        pattern
-        for pattern in reference.classes
-        if len(unmatched(discovered, [member.positions for member in pattern.members])) == len(discovered.classes)
-    )
-    return Study(experiment, discovered, reference, unseen, tightened, missed)
+    missed = unmatched(reference, [finding.positions for finding in discovered.findings])
+    (name,) = trained(experiment).runs
+    formed = form_each(murmurate.load(runs / name), discovered.classes, STARTS, KEY)
+    return Study(experiment, searched, discovered, reference, unseen, tightened, missed, tuple(formed))
 
 
 def _polished(experiment: str, pattern: PatternClass) -> Finding | None:
@@ -114,33 +130,30 @@ def _finding(experiment: str, search: OptimumConfig, index: int, formation: Form
 
 
 HEADER = (
-    *("", "robots", "objective", "valid runs", "valid patterns", "best gap"),
-    *("distinct", "in several runs", "never annealed", "polished too", "annealed", "never discovered"),
+    *("", "robots", "objective", "searched", "valid", "best gap", "distinct", "in several searches"),
+    *("annealed", "of these found", "never annealed", "polished too", "formed", "contact or exit"),
 )
 
 
-def row(result: Study, seeds: int) -> tuple[str, ...]:
+def row(result: Study) -> tuple[str, ...]:
     """Returns one experiment's row of the table."""
-    paper, episodes = EXPERIMENTS[result.experiment], seeds * EPISODES
-    classes = result.catalogue.classes if result.catalogue else ()
-    findings = result.catalogue.findings if result.catalogue else ()
+    paper, classes, findings = EXPERIMENTS[result.experiment], result.catalogue.classes, result.catalogue.findings
     gaps = [finding.gap / (finding.gap + finding.value) for finding in findings if finding.gap is not None]
     several = [pattern for pattern in classes if len(pattern.seeds) > 1]
-    counts = (classes, several, result.unseen, result.tightened, result.annealed.classes, result.missed)
+    annealed = len(result.annealed.classes)
+    counts = (len(findings), f"{100 * min(gaps):.3f}%", len(classes), len(several))
+    compared = (annealed, annealed - len(result.missed), len(result.unseen), len(result.tightened))
+    episodes = sum(each.episodes for each in result.formed)
+    formed = f"{sum(each.formed for each in result.formed):,} of {episodes:,}"
     return (
-        *(result.experiment, str(paper.world.robots), paper.objective),
-        f"{len({finding.run for finding in findings})} of {seeds}",
-        f"{len(findings)} of {episodes}",
-        f"{100 * min(gaps):.2f}%" if gaps else table.NONE,
-        *(str(len(group)) for group in counts),
+        *(result.experiment, str(paper.world.robots), paper.objective, f"{result.searched:,}"),
+        *map(str, (*counts, *compared, formed, sum(each.failed for each in result.formed))),
     )
 
 
 def plate(robots: int, studies: Sequence[Study], path: Path) -> None:
     """Draws the commonest patterns of a swarm size, those of both objectives together, best first."""
-    findings = [finding for result in studies if result.catalogue for finding in result.catalogue.findings]
-    if not findings:
-        return
+    findings = [finding for result in studies for finding in result.catalogue.findings]
     everything = Catalogue.from_findings(findings)
     commonest = sorted(everything.classes, key=lambda pattern: -pattern.count)[:MAX_DRAWN]
     shown = sorted(commonest, key=lambda pattern: everything.classes.index(pattern))
@@ -160,21 +173,22 @@ def picture(pattern: PatternClass, total: int) -> plots.PlatePattern:
 
 PAGE = """# Discoveries
 
-The patterns that {seeds} seeds of each experiment discover, beside those that simulated annealing finds among
-configurations alone. Made by {command}, which trains what is missing and writes this page.
+The patterns that {seeds} seeds of each experiment discover, beside those that simulated annealing finds. Made by
+{command}, which trains what is missing and writes this page.
 
-Each row is {seeds} trainings of the default learner, each evaluated on {episodes} fresh starts. Their valid final
-patterns are sorted into classes as `murmurate catalogue` does: the same up to moving, turning, relabelling, mirroring
-and scaling, within 0.125 root mean square radii. Each training was pinned to one core, because the number of threads
-changes a policy a little.
+Each row is {seeds} [searches for formations](formations.md), the first part of a training of the default learner. The
+valid patterns among all formations are sorted into classes as `murmurate catalogue` does: the same up to moving,
+turning, relabelling, mirroring and scaling, within 0.125 root mean square radii.
 
-- *Distinct* are the classes of the runs; *in several runs*, those that more than one run found.
+- *Distinct* are the classes of the searches; *in several searches*, those that more than one seed found.
 - *Annealed* are the distinct valid patterns among the {ends} ends of simulated annealing, good and bad ones, polished
-  under the exact constraints (`murmurate optimum` without its rings; many chains end in no valid pattern).
-- *Never annealed* are the classes of the runs whose representative matches none of these ends.
-- *Polished too*: a pattern of a run is where a policy comes to rest, and need not be a local optimum. So the
-  representatives that annealing never found are polished as well; this counts those that still match nothing annealed.
-- *Never discovered* are the annealed classes of which no member matches a representative of the runs.
+  under the exact constraints (`murmurate optimum` without its rings; many chains end in no valid pattern). *Of these
+  found* are the classes whose representative matches a formation of the searches.
+- *Never annealed* are the classes of the searches whose representative matches none of these ends.
+- *Polished too*: where a search ends need not be a local optimum. So the representatives that annealing never found are
+  polished as well; this counts those that still match nothing annealed.
+- *Formed*: one policy, that of the training with seed 0, is told each of the distinct patterns, and forms it from
+  {starts} fresh starts of the experiment: the episodes that end within 0.1 R of it, as a root mean square.
 
 {table}
 {plates}"""
@@ -182,7 +196,7 @@ changes a policy a little.
 
 def main() -> None:
     """Trains what is missing and writes the page."""
-    parser = argparse.ArgumentParser(description="Trains many seeds of A-F, and says what they discover.")
+    parser = argparse.ArgumentParser(description="Searches A-F with many seeds, and says what they discover.")
     parser.add_argument("--runs", type=Path, default=Path("runs"))
     parser.add_argument("--out", type=Path, default=Path("docs"))
     parser.add_argument("--seeds", type=int, default=SEEDS)
@@ -191,10 +205,10 @@ def main() -> None:
     parser.add_argument("--only-finished", action="store_true", help="train nothing")
     options = parser.parse_args()
     if not options.only_finished:
-        # The runs of `make results` are among these.
-        grid = Grid.product(options.experiments, learners=["equivariant"], seeds=options.seeds)
         # One core each: the number of threads changes the last bits of a training.
-        run_jobs(training_jobs(grid, options.runs), LocalProcesses())
+        for experiment in options.experiments:
+            run_jobs(training_jobs(searches(experiment, options.seeds), options.runs / SEARCHED), LocalProcesses())
+            run_jobs(training_jobs(trained(experiment), options.runs), LocalProcesses())
     if options.only_train:
         return
     studies = [study(experiment, options.seeds, options.runs) for experiment in options.experiments]
@@ -214,9 +228,9 @@ def write(studies: Sequence[Study], seeds: int, out: Path) -> None:
     text = PAGE.format(
         seeds=seeds,
         command="`make seeds`" if seeds == SEEDS else f"`python -m benchmarks.seeds --seeds {seeds}`",
-        episodes=EPISODES,
+        starts=STARTS,
         ends=SEARCHES * POLISHED,
-        table=table.as_markdown(HEADER, [row(result, seeds) for result in studies]),
+        table=table.as_markdown(HEADER, [row(result) for result in studies]),
         plates="\n".join(plates),
     )
     (out / "discoveries.md").write_text(text, encoding="utf-8")

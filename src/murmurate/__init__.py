@@ -158,7 +158,7 @@ def discover(
         RunError: The folder holds another run, is damaged, in use or cannot be written to, or the training diverged.
 
     Example:
-        >>> run = murmurate.discover("F", seed=1, base={"ppo": {"updates": 20}})  # doctest: +SKIP
+        >>> run = murmurate.discover("F", seed=1, base={"gradients": {"updates": 100}})  # doctest: +SKIP
     """
     from murmurate.errors import check_function, check_path, check_type
 

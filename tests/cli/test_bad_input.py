@@ -52,7 +52,7 @@ def contents(folder):
         ("discover C --seeed 1", "unknown flag --seeed; did you mean --seed"),
         ("discover C --world.radus 1", "unknown flag --world.radus; did you mean --world.radius?"),
         ("discover C --policy centrl", "policy.use = 'centrl': must be one of central, equivariant"),
-        ("discover C --learner best", "learner = 'best': must be one of equivariant, formation, central, local, paper"),
+        ("discover C --learner best", "learner = 'best': must be one of formation, equivariant, central, local, paper"),
         ("discover C --objective C3", "objective = 'C3': must be one of C1, C2"),
         ("discover C --seed -1", "seed = -1: must be an integer from 0 to"),
         ("discover C --seed 1.5", "seed = '1.5': must be an integer"),

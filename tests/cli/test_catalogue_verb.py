@@ -141,4 +141,4 @@ def test_no_valid_pattern_is_said(discovered, tmp_path, capsys):
 def test_the_gap_is_in_percent_of_the_best_known(tmp_path, capsys):
     ring = folder_of(tmp_path / "ring", 5, 1.0, value=3.8709, gap=0.0391)
     assert main(["catalogue", str(ring), "--out", str(tmp_path / "out")]) == 0
-    assert "1.00%" in capsys.readouterr().out
+    assert "1.000%" in capsys.readouterr().out

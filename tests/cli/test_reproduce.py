@@ -16,7 +16,7 @@ from murmurate.runs.folder import RunFolder, trained_checksums
 from murmurate.runs.paper import EXPERIMENTS
 from tiny import tiny
 
-NAMES = ("tiny-central-seed0", "tiny-equivariant-seed1")
+NAMES = ("tiny-central-seed0", "tiny-formation-seed1")
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +38,7 @@ def work(tmp_path, monkeypatch):
     def make_plan(seed, quick):
         planning.make_plan.seen = (seed, quick)
         runs = {name.split("-")[1]: PlannedRun(name, name.split("-")[1], tiny(seed=s)) for s, name in enumerate(NAMES)}
-        return Plan(seed, quick, dict.fromkeys(EXPERIMENTS, runs), {"scattered": {3: runs["equivariant"]}})
+        return Plan(seed, quick, dict.fromkeys(EXPERIMENTS, runs), {"scattered": {3: runs["formation"]}})
 
     monkeypatch.setattr(planning, "make_plan", make_plan)
     for name in ("robot", "visibility", "training", "reward", "formation", "patterns", "growth"):
@@ -132,7 +132,7 @@ def test_cores_train_side_by_side_unless_there_is_an_accelerator(monkeypatch, wo
         ("--out mine", "mine holds other files: choose another --out"),
         ("--out mine/notes.txt", "cannot write to mine/notes.txt: Not a directory"),
         ("--runs mine --out ./mine", "--out and --runs are the same folder: the report needs one of its own"),
-        ("--runs bad", "bad/tiny-equivariant-seed1 holds other files"),
+        ("--runs bad", "bad/tiny-formation-seed1 holds other files"),
         ("--seed many", "--seed = 'many': must be an integer"),
         ("--sed 1", "unknown flag --sed; did you mean --seed?"),
         ("A", "unrecognized arguments: A"),
@@ -140,7 +140,7 @@ def test_cores_train_side_by_side_unless_there_is_an_accelerator(monkeypatch, wo
 )
 def test_refused_before_anything_is_trained(work, capsys, monkeypatch, arguments, line):
     monkeypatch.setattr(train, "advance_together", None)
-    for path in ("mine", "bad/tiny-equivariant-seed1"):
+    for path in ("mine", "bad/tiny-formation-seed1"):
         (work / path).mkdir(parents=True)
         (work / path / "notes.txt").write_text("mine")
     assert main(["reproduce", *arguments.split()]) == 2
@@ -153,7 +153,7 @@ def test_refused_before_anything_is_trained(work, capsys, monkeypatch, arguments
         "mine",
         "notes.txt",
         "notes.txt",
-        "tiny-equivariant-seed1",
+        "tiny-formation-seed1",
     ]
 
 

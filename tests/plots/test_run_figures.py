@@ -106,6 +106,26 @@ def test_training_of_every_policy_and_signal(recording):
     assert [ax.texts[0].get_text() for ax in (objective, signals)] == ["base", "base"]
 
 
+def test_a_search_for_goals_is_drawn_before_the_first_step(recording):
+    """It has updates and no steps; and where it began, which is far below everything else, is cut off."""
+    updates, names = np.arange(1.0, 301.0), recording.training[0].signals
+    search = plots.TrainingCurve("search", updates, {name: np.linspace(-50, 1, 300) for name in names})
+    searched = replace(recording, search=search)
+    (ax, signals), (before, _) = plots.training_figure(searched).axes, plots.training_figure(recording).axes
+    x = ax.lines[0].get_xdata()
+    assert (np.diff(x) > 0).all()
+    assert (x[-1], ax.get_xlim()[0]) == (0, x[0])
+    assert ax.get_ylim() == before.get_ylim()
+    assert ax.get_xlim()[1] == before.get_xlim()[1] == -3 * x[0] * 300 / 299
+    assert min(ax.get_xticks()) == 0
+    assert [each.texts[0].get_text() for each in (ax, signals)] == ["search", "search"]
+    colors = [line.get_color() for line in ax.lines if line.get_linestyle() == "-"]
+    assert colors[0] == colors[1], "the base policy's"
+    alone = plots.training_figure(replace(searched, training=()))
+    plots.png(alone, dpi=50)
+    assert {"close", "safety", "neighbors", "visible"} < set(words(alone.axes[1]))
+
+
 def test_the_reward_is_the_change_of_the_objective(recording):
     episode = recording.episode(1)
     (switch,), end = episode.switches, episode.steps

@@ -18,12 +18,12 @@ from tiny import tiny
 def make_tiny_plan(quick=False):
     """The tiny experiment in the place of all others: two runs that differ in the seed."""
     # One of them forms patterns that do not stay: its robots creep on.
-    rests = {"central": {"dead_zone": 0.001, "stillness": 1.0}, "equivariant": {}}
+    rests = {"central": {"dead_zone": 0.001, "stillness": 1.0}, "formation": {}}
     plan_runs = {
         learner: PlannedRun(f"tiny-{learner}-seed{seed}", learner, tiny(seed=seed, rest=rest))
         for seed, (learner, rest) in enumerate(rests.items())
     }
-    sizes = {start: dict.fromkeys((3, 4, 5), plan_runs["equivariant"]) for start in ("distributed", "scattered")}
+    sizes = {start: dict.fromkeys((3, 4, 5), plan_runs["formation"]) for start in ("distributed", "scattered")}
     return Plan(seed=0, quick=quick, experiments=dict.fromkeys(EXPERIMENTS, plan_runs), sizes=sizes)
 
 

@@ -18,7 +18,7 @@ def test_a_full_report_has_every_experiment_with_both_policies():
     plan = make_plan(seed=3)
     assert len(plan.runs) == 24
     for name in EXPERIMENTS:
-        for learner in ("central", "equivariant"):
+        for learner in ("central", "formation"):
             run = plan.experiments[name][learner]
             assert run.name == f"{name}-{learner}-seed3"
             assert config_io.to_dict(run.config) == config_io.to_dict(preset(name, learner)) | {"seed": 3}
@@ -27,11 +27,11 @@ def test_a_full_report_has_every_experiment_with_both_policies():
 def test_swarm_sizes_that_are_an_experiment_are_trained_once():
     plan = make_plan()
     assert [list(runs) for runs in plan.sizes.values()] == [list(range(4, 11))] * 2
-    assert plan.sizes["distributed"][10] is plan.experiments["C"]["equivariant"]
-    assert plan.sizes["scattered"][8] is plan.experiments["B"]["equivariant"]
+    assert plan.sizes["distributed"][10] is plan.experiments["C"]["formation"]
+    assert plan.sizes["scattered"][8] is plan.experiments["B"]["formation"]
     others = names(plan) - {run.name for runs in plan.experiments.values() for run in runs.values()}
     assert len(others) == 12
-    assert {"size4-distributed-equivariant-seed0", "size10-scattered-equivariant-seed0"} <= others
+    assert {"size4-distributed-formation-seed0", "size10-scattered-formation-seed0"} <= others
 
 
 def test_swarm_sizes_differ_in_the_world_and_the_start_only():

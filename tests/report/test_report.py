@@ -78,7 +78,7 @@ def test_the_html_needs_nothing_else(report):
 def test_every_picture_lies_beside_the_markdown(report):
     html, markdown = texts(report)
     named = re.findall(r"\]\((figures/.*?\.png)\)", markdown)
-    learners, both = ("central", "equivariant"), []
+    learners, both = ("central", "formation"), []
     for kind in ("training-C", "training-E", "reward-C", *(f"formation-{name}" for name in "CFBE"), "patterns"):
         both += [f"figures/{kind}-{learner}.png" for learner in learners]
     assert named == ["figures/robot-model.png", "figures/visibility-model.png", *both, "figures/swarm-size.png"]
@@ -92,7 +92,7 @@ def test_the_papers_tables_are_there(report):
         steps = f"*{row.base_steps:.2f}* | *{row.auxiliary_steps:.2f}*"
         assert f"| *{row.name}* | *{row.world.robots}* | *paper* | {steps} |" in markdown
         assert f"| {row.name} | {row.world.robots} | central |" in markdown
-        assert f"| {row.name} | {row.world.robots} | equivariant |" in markdown
+        assert f"| {row.name} | {row.world.robots} | formation |" in markdown
     assert "| C | 10 | origin | distributed | 45 | 1 | 20 | 5 | 1 |" in markdown
     assert "521.71 base steps and 223.56 auxiliary steps make 745.27, while its total is printed as 1168.83" in markdown
 

@@ -60,7 +60,7 @@ def test_contact_and_exits_are_counted_apart(result):
     free, inside = (measured.episodes - count for count in (1, 2))
     assert (shown["contact-free"], shown["inside"]) == (str(free), str(inside))
     other = replace(measured, episodes=measured.episodes + 10)
-    rows = cells(tables.steps_table({"C": {"central": measured, "equivariant": other}}))
+    rows = cells(tables.steps_table({"C": {"central": measured, "formation": other}}))
     assert rows[4][9] == f"{other.episodes} of {other.episodes}"
 
 

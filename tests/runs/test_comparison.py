@@ -222,7 +222,7 @@ def test_gaps_are_in_percent_of_the_best_known(tmp_path):
     (tmp_path / comparison.COMPARISON).write_text(json.dumps(data))
     rows = comparison.load(tmp_path)["rows"]
     assert rows[0]["best_known"] == pytest.approx(3.9, abs=0.05)  # as an older version wrote it
-    assert [cells[-1] for cells in comparison_page.table_rows(rows)] == ["1.00%", "1.00%", "-"]
+    assert [cells[-1] for cells in comparison_page.table_rows(rows)] == ["0.997%", "1.000%", "-"]
 
 
 UNKNOWN = {"robots": 64, "best_known": None, "gap": None}

@@ -74,13 +74,13 @@ fields.world.max_speed = 0.125
         ('experiments = ["A"]\nseeds = [-1]', "-1"),
         ('experiments = ["a"]', "did you mean A"),
         ('experiments = ["none.toml"]', "a TOML file, relative to the sweep's"),
-        ('experiments = ["A"]\nlearners = ["centrale"]', "must be one of equivariant, formation, central"),
+        ('experiments = ["A"]\nlearners = ["centrale"]', "must be one of formation, equivariant, central"),
         ('experiment = ["A"]', "did you mean experiments"),
         ('experiments = ["A"]\n[world]\nrobots = 3', "fields of the experiment go under [fields]"),
         ('experiments = ["A"]\n[fields.world]\nrobot = 3', "did you mean robots"),
         ('experiments = ["A"]\n[grid]\n"base.ppo.clipp" = [0.1]', "did you mean clip"),
         ('experiments = ["A"]\n[grid]\n"base.ppo.clip" = []', "grid.base.ppo.clip = []"),
-        ('experiments = ["A"]\n[grid]\n"base.ppo.clip" = [0.1, -1.0]', "(in experiment A)"),
+        ('experiments = ["A"]\n[grid]\n"base.gradients.discount" = [0.9, -1.0]', "(in experiment A)"),
         ('experiments = ["A"]\n[fields]\nseed = 1', "seeds says which"),
         ('experiments = ["A"]\n[fields]\nbase.ppo.clip = 0.1\n[grid]\n"base.ppo.clip" = [0.1]', "the grid says which"),
         ('experiments = ["A", "A"]', "there once, not twice"),
@@ -104,7 +104,7 @@ def test_python_grids_are_products_and_sums():
     assert grid.runs["own-central-seed3-world.max_speed=0.25"].world.max_speed == 0.25
     assert repr(grid) == "Grid(8 runs, varied: world.max_speed)"
     both = grid + Grid.product(["B"], seeds=1)
-    assert list(both.runs) == [*grid.runs, "B-equivariant-seed0"]
+    assert list(both.runs) == [*grid.runs, "B-formation-seed0"]
     with pytest.raises(InputError, match="there once, not twice"):
         grid + Grid.product([config], seeds=[3], fields={"base.horizon": 9}, axes={"world.max_speed": [0.5]})
 

@@ -49,7 +49,9 @@ def test_presets_are_the_papers_experiments(name, learner):
     assert presets.paper_row(config) is row
 
 
-@pytest.mark.parametrize(("learner", "budget"), [("equivariant", 4_000_000), ("central", 8_000_000)])
+@pytest.mark.parametrize(
+    ("learner", "budget"), [("formation", 4_000_000), ("equivariant", 4_000_000), ("central", 8_000_000)]
+)
 def test_the_longest_list_of_policies_stays_within_the_budget(learner, budget):
     numbers = presets.TRAINING_PRESETS[learner]
     stages = [numbers.base] + [numbers.auxiliary] * (numbers.discovery.max_policies - 1)
@@ -75,7 +77,9 @@ def test_the_page_says_whose_discount_falls():
     assert discounts.pop("paper") == (0.95, 0.85)
     assert discounts.pop("central") == (0.95, 0.90)
     assert {*discounts.values()} == {(0.95, 0.95)}
-    assert "The default learner does not reduce the discount: it is 0.95 for the base policy and for every" in page
+    assert "`equivariant` does not reduce the discount: it is 0.95 for the base policy and for every later one" in page
+    assert "trained by gradients with a discount of 0.97" in page
+    assert presets.TRAINING_PRESETS["formation"].base.gradients.discount == 0.97
     assert "Only `paper` (0.95, then 0.85) and `central` (0.95, then 0.90) do." in page
 
 
@@ -129,7 +133,7 @@ def test_a_toml_file_says_what_differs(tmp_path):
         ({"policy": {"use": "paper"}}, None, "policy.use = 'paper': must be one of"),
         ({"policy": {"kind": []}}, None, "policy.use = []: must be one of"),
         ({"policy": 3}, None, "policy = 3: must be a table"),
-        ({}, "best", "learner = 'best': must be one of equivariant, formation, central, local, paper"),
+        ({}, "best", "learner = 'best': must be one of formation, equivariant, central, local, paper"),
         ({"base": {"weights": {"visible": -1.0}}}, None, "base.weights.visible = -1.0: must be"),
     ],
 )
@@ -137,6 +141,35 @@ def test_what_is_unknown_is_refused(data, learner, line):
     with pytest.raises(InputError) as caught:
         presets.resolve("C", data, learner=learner)
     assert str(caught.value).startswith(line)
+
+
+def test_whose_numbers_a_problem_has_where_nobody_says(tmp_path):
+    """The paper's experiments are searched for formations; the policy of all other problems serves any of them."""
+    signals = {"signals": {"near": {"use": "compact"}}}
+    several = {"sizes": [4, 6], "start": {"use": "random"}, "discovery": {"max_policies": 1}}
+    (tmp_path / "my.toml").write_text("")
+    for word, data, policy in (
+        ("C", {}, "formation"),
+        ("C", {"world": {"robots": 12, "half_width": 50.0, "half_height": 50.0}}, "formation"),
+        ("C", signals, "equivariant"),
+        ("C", several, "equivariant"),
+        (tmp_path / "my.toml", {}, "equivariant"),
+        ("circle", {}, "equivariant"),
+    ):
+        assert presets.resolve(word, data).policy.name == policy
+    assert presets.resolve("C", learner="equivariant") == presets.preset("C", "equivariant")
+
+
+def test_numbers_of_a_learner_that_does_not_train_are_refused():
+    for policy, learner, name, value in (
+        ("formation", "goals", "ppo.updates", 10),
+        ("equivariant", "ppo", "goals.updates", 10),
+        ("central", "ppo", "goals.emphasis", 2.0),
+    ):
+        given = {"policy": policy}, {"base": config_io.nested({name: value})}
+        with pytest.raises(InputError, match=rf"^base\.{name} = {value}: must be left out: .* is '{learner}' here"):
+            presets.resolve("A", *given)
+        assert presets.resolve("A", *given, {"base": {"learner": "gradients"}}).base.learner == "gradients"
 
 
 @pytest.mark.parametrize("policy", ["equivariant", "central", "local"])

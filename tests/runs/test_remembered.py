@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import murmurate
+from murmurate import plots
 from murmurate.cli.main import main
 from murmurate.discovery import build_cascade
 from murmurate.errors import InputError, RunError
@@ -29,6 +30,12 @@ def run(tmp_path_factory):
         "discovery": {"chunk": 400, "episodes": 16, "sigma": 16},
     }
     return murmurate.discover("D", out=tmp_path_factory.mktemp("formations") / "run", **fields)
+
+
+def test_its_training_is_drawn_as_the_search_that_it_was(run):
+    recording = plots.Recording.open(run.folder)
+    assert (recording.training, len(recording.search.environment_steps)) == ([], 1200)
+    assert recording.policies == ["base"]
 
 
 def test_what_is_remembered_are_valid_patterns_best_first_each_once(run):

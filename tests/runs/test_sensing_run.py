@@ -83,8 +83,8 @@ def test_every_policy_may_be_scheduled(kind, tmp_path):
 @pytest.mark.parametrize(
     ("overlay", "line"),
     [
-        ({"sensing": {"use": "visible"}}, "sensing.use = 'visible': must be global: with the policy equivariant"),
-        ({"sensing": {"rotation": True}}, "sensing.rotation = True: must be False: with the policy equivariant"),
+        ({"sensing": {"use": "visible"}}, "sensing.use = 'visible': must be global: with the policy formation"),
+        ({"sensing": {"rotation": True}}, "sensing.rotation = True: must be False: with the policy formation"),
         ({"policy": {"use": "local"}, "sensing": {"landmark": False}}, "sensing.landmark = False: must be true with"),
         ({"policy": {"use": "local", "credit": "swarm"}}, "policy.credit = 'swarm': must be robots: with local"),
         ({"policy": {"use": "local"}, "sensing": {"use": "radar"}}, "sensing.use = 'radar': must be"),

@@ -47,7 +47,7 @@ def test_a_run_stands_beside_the_paper():
 
 
 def test_the_gap_is_in_percent_of_the_best_known():
-    assert table.gap({"gap": 0.0391, "best_known": 3.91}) == "1.00%"
+    assert table.gap({"gap": 0.0391, "best_known": 3.91}) == "1.000%"
     assert table.gap({"gap": None, "best_known": None}) == "-"
     assert table.gap(SUMMARY) == "-"
 

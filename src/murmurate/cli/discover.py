@@ -36,7 +36,7 @@ EVERYDAY = (
     "--policy",
     "--start.use",
     "--world.robots",
-    "--base.ppo.updates",
+    "--base.gradients.updates",
 )
 """The flags that --help shows; --help-all shows the rest, one for every field of an experiment."""
 
@@ -127,7 +127,7 @@ def _form_each(run: Run, folder: RunFolder, count: int, quiet: bool) -> None:
     out = _patterns_folder(folder)
     patterns = run.remembered()
     with Progress(quiet=quiet) as progress:
-        formed = formations.form_each(run, count, on_progress=progress.update)
+        formed = formations.form_each(run, patterns.classes[:count], on_progress=progress.update)
     show(patterns, out)
     rows = [each.row() for each in formed]
     sweep.write_csv(out / "formed.csv", [dict(zip(formations.FORMED_HEADER, row, strict=True)) for row in rows])
@@ -156,7 +156,7 @@ def _parser(word: str | None, argv: Sequence[str]) -> Parser:
     parser.add_argument("--out", metavar="DIR", help="run folder (default: runs/EXPERIMENT-LEARNER-seedSEED)")
     parser.add_argument("--config", metavar="FILE", help="TOML file of fields to replace; flags win over it")
     names = ",".join(presets.TRAINING_PRESETS)
-    text = "training preset (default: that of the policy)"
+    text = "training preset (default: that of the policy; formation for A to F, equivariant for others)"
     parser.add_argument("--learner", metavar=f"{{{names}}}", help=text)
     parser.add_argument("--resume", action="store_true", help="continue the run that the folder holds")
     text = "begin with the policies of this run, of the same shapes, instead of new ones; with --seeds, each of them"

@@ -12,7 +12,7 @@ from murmurate.terminal import say, say_text
 
 __all__ = ["run"]
 
-LEARNERS = ("equivariant", "formation", "central", "local", "paper")
+LEARNERS = ("formation", "equivariant", "central", "local", "paper")
 """The training presets, spelled out because they are known only once JAX is loaded."""
 
 HEADER = ("", "robots", "gathers", "start", "X = Y", "R", "scan", "safe", "speed", "steps")
@@ -22,7 +22,8 @@ def run(argv: Sequence[str]) -> int:
     """Runs the verb; returns 0."""
     parser = Parser("experiments", "[EXPERIMENT]", "Lists the experiments; with a name, writes that one out as TOML.")
     parser.add_argument("experiment", metavar="EXPERIMENT", nargs="?", help=ALLOWED)
-    text = f"whose numbers: {', '.join(LEARNERS)} (default: {LEARNERS[0]}, or that of the file's policy)"
+    usual = f"that of the policy, or else {LEARNERS[0]} for A to F and {LEARNERS[1]} for others"
+    text = f"whose numbers: {', '.join(LEARNERS)} (default: {usual})"
     parser.add_argument("--learner", metavar="NAME", help=text)
     options, _ = parser.parse(argv)
     if options.learner is not None:

@@ -86,12 +86,15 @@ class Recording:
         trajectories: The episodes of an evaluation.
         training: A curve for each policy; none where its training is not known.
         starts: Where the episodes began, in words, where not at fresh starts of the experiment.
+        search: The search for goals that came before any robot moved, whose updates take the place of steps; None
+            where there was none.
     """
 
     experiment: ExperimentConfig
     trajectories: Trajectories
     training: Sequence[TrainingCurve] = ()
     starts: str = ""
+    search: TrainingCurve | None = None
 
     @classmethod
     def open(cls, run: str | os.PathLike[str], trust: bool = False) -> Recording:
@@ -111,7 +114,10 @@ class Recording:
             names = ", ".join(rows[0]["signals"])
             raise RunError(f"{folder.path} has metrics that are not of its experiment: of the signals {names}")
         starts = "" if is_fresh(summary) else describe_starts(summary)
-        return cls(config, folder.trajectories(config), _curves(row for row in rows if row["policy"] < kept), starts)
+        searched = [row for row in rows if row.get("learner") == "goals"]
+        moved = [row for row in rows if row.get("learner") != "goals" and row["policy"] < kept]
+        search = _curve("search", searched) if searched else None
+        return cls(config, folder.trajectories(config), _curves(moved), starts, search)
 
     def __post_init__(self) -> None:
         check_type("experiment", self.experiment, ExperimentConfig, "an experiment, such as run.experiment")
@@ -194,13 +200,12 @@ def _curves(rows: Iterable[Mapping[str, Any]]) -> list[TrainingCurve]:
     by_policy: dict[int, list[Mapping[str, Any]]] = {}
     for row in rows:
         by_policy.setdefault(row["policy"], []).append(row)
-    return [
-        TrainingCurve(
-            name=policy_name(index),
-            environment_steps=np.array([row["environment_steps"] for row in updates], float),
-            signals={
-                name: np.array([row["signals"][name] for row in updates], float) for name in updates[0]["signals"]
-            },
-        )
-        for index, (_, updates) in enumerate(sorted(by_policy.items()))
-    ]
+    return [_curve(policy_name(index), updates) for index, (_, updates) in enumerate(sorted(by_policy.items()))]
+
+
+def _curve(name: str, updates: Sequence[Mapping[str, Any]]) -> TrainingCurve:
+    return TrainingCurve(
+        name=name,
+        environment_steps=np.array([row["environment_steps"] for row in updates], float),
+        signals={name: np.array([row["signals"][name] for row in updates], float) for name in updates[0]["signals"]},
+    )

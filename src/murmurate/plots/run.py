@@ -14,7 +14,7 @@ from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
 from murmurate.discovery.problem import GATHERING_SIGNALS
-from murmurate.plots.recording import Episode, Recording, check_recording
+from murmurate.plots.recording import Episode, Recording, TrainingCurve, check_recording
 from murmurate.plots.style import (
     INK,
     LEFT,
@@ -125,11 +125,12 @@ def training_figure(recording: Recording) -> Figure:
     _draw_training(add_axes(figure, LEFT + 0.55, 0.5, 4.1, 2.55), recording)
     ax = add_axes(figure, WIDTH - LEFT - 4.1, 0.5, 4.1, 2.55)
     style_axes(ax, "Signals in training", "environment steps", _BEST)
-    for curve in recording.training:
+    curves = _training_curves(recording)
+    for steps, curve in curves:
         for index, (name, values) in enumerate(curve.signals.items()):
             color, dashes = _signal_style(name, index)
-            label = name if curve is recording.training[0] else None
-            ax.plot(curve.environment_steps, values, color=color, linestyle=dashes, linewidth=1.3, label=label)
+            label = name if curve is curves[0][1] else None
+            ax.plot(steps, values, color=color, linestyle=dashes, linewidth=1.3, label=label)
     _finish_training(ax, recording)
     add_legend(ax, ax.get_legend_handles_labels()[0], loc="lower right", framealpha=0.85)
     return figure
@@ -275,8 +276,9 @@ def _draw_training(ax: Axes, recording: Recording) -> None:
     """Draws the mean objective and the mean visibility of each policy's rollouts against environment steps."""
     style_axes(ax, "Training", "environment steps", _BEST)
     dashes = (0, (2, 1))
-    for index, curve in enumerate(recording.training):
-        steps, color = curve.environment_steps, policy_color(index)
+    searches = 0 if recording.search is None else 1
+    for index, (steps, curve) in enumerate(_training_curves(recording)):
+        color = policy_color(max(index - searches, 0))
         ax.plot(steps, _scaled_objective(recording, curve.signals), color=color, linewidth=1.6)
         if "visible" in curve.signals:
             ax.plot(steps, curve.signals["visible"], color=color, linewidth=1.1, linestyle=dashes)
@@ -287,14 +289,32 @@ def _draw_training(ax: Axes, recording: Recording) -> None:
     add_legend(ax, drawn, loc="lower right", framealpha=0.85)
 
 
+def _training_curves(recording: Recording) -> list[tuple[np.ndarray, TrainingCurve]]:
+    """Returns where along the axis of steps each curve of the training is drawn, and the curve.
+
+    A search for goals takes no steps. It is drawn to the left of the first one, in a third of what the others take.
+    """
+    curves = [(curve.environment_steps, curve) for curve in recording.training]
+    search = recording.search
+    if search is None:
+        return curves
+    width = max(curves[-1][0][-1], 1.0) / 3 if curves else 1.0
+    share = search.environment_steps / search.environment_steps[-1]
+    return [(width * (share - 1), search), *curves]
+
+
 def _finish_training(ax: Axes, recording: Recording) -> None:
     """Sets the limits of axes of training, and marks which policy was trained when."""
     edges = [0.0, *(float(curve.environment_steps[-1]) for curve in recording.training)]
+    names, colors = recording.policies, [policy_color(index) for index in range(len(edges) - 1)]
     _limit(ax, edges[-1])
-    ax.xaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10]))
+    ticks = MaxNLocator(6, steps=[1, 2, 5, 10]).tick_values(0, max(edges[-1], 1))
     ax.xaxis.set_major_formatter(lambda value, _: _count(value))
-    colors = [policy_color(index) for index in range(len(edges) - 1)]
-    _mark_spans(ax, edges, colors, recording.policies)
+    if recording.search is not None:
+        edges, names, colors = [_training_curves(recording)[0][0].min(), *edges], ["search", *names], [MUTED, *colors]
+        ax.set_xlim(left=edges[0])
+    ax.set_xticks([tick for tick in ticks if 0 <= tick <= ax.get_xlim()[1]])
+    _mark_spans(ax, edges, colors, names)
 
 
 def _draw_signals(ax: Axes, recording: Recording, episode: Episode) -> None:
@@ -389,8 +409,9 @@ def _mark_spans(ax: Axes, edges: Sequence[float], colors: Sequence[str], names: 
 
 
 def _limit(ax: Axes, end: float) -> None:
-    """Shows all curves, and a little above the best value that a signal can have."""
-    values = np.concatenate([[0.9], *(np.asarray(line.get_ydata(), dtype=float) for line in ax.lines)])
+    """Shows all curves from 0 on, and a little above the best value that a signal can have."""
+    lines = [(np.asarray(line.get_xdata(), float), np.asarray(line.get_ydata(), float)) for line in ax.lines]
+    values = np.concatenate([[0.9], *(y[x >= 0] for x, y in lines)])
     low = float(values[np.isfinite(values)].min())
     ax.set(xlim=(0, max(end, 1)), ylim=(1 - 1.06 * (1 - low), 1 + 0.05 * (1 - low)))
 

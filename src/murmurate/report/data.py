@@ -54,7 +54,7 @@ class Measures:
     Attributes:
         run: Name of the run folder.
         experiment: The experiment's name.
-        policy: central or equivariant.
+        policy: central or formation.
         seed: The training's seed.
         world: Sizes of the world, which is a square, and its robots.
         start: Kind of start.

@@ -7,18 +7,18 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from murmurate.discovery import StageConfig
-from murmurate.learning import GradientConfig
+from murmurate.learning import GradientConfig, PPOConfig
 from murmurate.representation import short_repr
 from murmurate.runs.evaluate import EPISODES
 from murmurate.runs.experiment import ExperimentConfig
 from murmurate.runs.grid import Grid
 from murmurate.runs.paper import EXPERIMENTS
-from murmurate.runs.presets import preset
+from murmurate.runs.presets import DEFAULT_LEARNER, preset
 from murmurate.world import Start
 
 __all__ = ["STARTS", "TRAINING_PRESETS", "Plan", "PlannedRun", "half_side", "make_plan"]
 
-TRAINING_PRESETS = ("central", "equivariant")
+TRAINING_PRESETS = ("central", DEFAULT_LEARNER)
 """The policies that every experiment is done with: the paper's own kind first."""
 
 STARTS: tuple[Literal["distributed", "scattered"], ...] = ("distributed", "scattered")
@@ -35,18 +35,18 @@ class _Budget:
 
     Attributes:
         policies: Policies in a list at most.
-        ppo: Updates by PPO of each.
+        ppo: Updates by PPO of each, where there are any.
         worlds: Parallel episodes of these.
         gradients: Updates by gradients, where there are any.
     """
 
     policies: int
-    ppo: int
-    worlds: int
+    ppo: int = PPOConfig().updates
+    worlds: int = PPOConfig().worlds
     gradients: int = GradientConfig().updates
 
 
-_QUICK = {"equivariant": _Budget(1, ppo=30, worlds=64, gradients=150), "central": _Budget(3, ppo=100, worlds=128)}
+_QUICK = {DEFAULT_LEARNER: _Budget(1, gradients=100), "central": _Budget(3, ppo=100, worlds=128)}
 
 
 @dataclass(frozen=True)
@@ -115,7 +115,7 @@ def make_plan(seed: int = 0, quick: bool = False) -> Plan:
         name: {learner: _planned(_preset(name, learner, seed), name, learner, quick) for learner in TRAINING_PRESETS}
         for name in EXPERIMENTS
     }
-    known = [runs["equivariant"] for runs in experiments.values()]
+    known = [runs[DEFAULT_LEARNER] for runs in experiments.values()]
     sizes = {
         start: {robots: _of_size(robots, start, seed, quick, known) for robots in (_QUICK_SIZES if quick else _SIZES)}
         for start in STARTS
@@ -136,11 +136,11 @@ def _of_size(
     robots: int, start: Literal["distributed", "scattered"], seed: int, quick: bool, known: list[PlannedRun]
 ) -> PlannedRun:
     """Plans one run of the study of swarm sizes; where it is one of the paper's experiments, that very run."""
-    like = _preset("C", "equivariant", seed)
+    like = _preset("C", DEFAULT_LEARNER, seed)
     side = half_side(robots)
     world = replace(like.world, robots=robots, half_width=side, half_height=side)
     config = replace(like, name=f"size{robots}-{start}", world=world, start=Start.registered()[start]())
-    planned = _planned(config, config.name, "equivariant", quick)
+    planned = _planned(config, config.name, DEFAULT_LEARNER, quick)
     return next((run for run in known if replace(planned.config, name=run.config.name) == run.config), planned)
 
 

@@ -143,7 +143,7 @@ def sizes_table(sizes: Mapping[str, Mapping[int, Measures]]) -> str:
             rows.append((*cells, _number(run.efficiency, 2), _of(run.valid, run), code(run.run)))
     header = ("start", "swarm size", _SIDE, "base steps", "auxiliary steps", "total steps", "kinematic bound")
     header += ("efficiency", "valid", "run")
-    return _table("Steps against swarm size, objective C1, equivariant policy.", header, rows, "lrrrrrrrrl")
+    return _table("Steps against swarm size, objective C1, formation policy.", header, rows, "lrrrrrrrrl")
 
 
 def failures_table(runs: Sequence[Measures]) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,7 +17,7 @@ from murmurate.analysis.optimum.best_known import best_known
 from murmurate.analysis.optimum.formation import Target
 from murmurate.discovery import build_cascade
 from murmurate.discovery.validity import bound_steps, check_pattern, check_validity, replaced_conditions
-from murmurate.errors import MAX_INTEGER, InputError, RunError, check_number
+from murmurate.errors import InputError, RunError, check_number
 from murmurate.geometry import distances
 from murmurate.geometry.similarity import configuration, distance
 from murmurate.policies.formation import FormationNetwork
@@ -135,7 +135,7 @@ def forming(run: Run, formation: Any) -> Run:
 
 @dataclass(frozen=True)
 class Formed:
-    """How a run forms one of the patterns that it remembers.
+    """How a run forms one pattern.
 
     Attributes:
         pattern: The class of the pattern.
@@ -174,27 +174,28 @@ FORMED_HEADER = (
 
 
 def form_each(
-    run: Run, count: int, episodes: int = 50, key: int = 0, on_progress: Callable[..., None] | None = None
+    run: Run,
+    patterns: Sequence[PatternClass],
+    episodes: int = 50,
+    key: int = 0,
+    on_progress: Callable[..., None] | None = None,
 ) -> list[Formed]:
-    """Lets swarms form the best patterns that a run remembers, each from the same fresh starts.
+    """Lets swarms form patterns, each from the same fresh starts.
 
     Args:
-        run: The run.
-        count: How many patterns, best first; all where there are fewer.
+        run: A run whose last policy remembers formations: these patterns, or others.
+        patterns: Of each, the swarms form the representative.
         episodes: Starts for each.
         key: Seed of the starts.
         on_progress: Called as `on_progress(work, done, total)` before and after each pattern.
 
     Raises:
-        InputError: A number is out of bounds, or the policy remembers no formations.
-        RunError: None of its formations is a valid pattern.
+        InputError: A pattern does not fit the swarm and its world, or the policy remembers no formations.
     """
-    check_number("count", count, 1, MAX_INTEGER, integer=True)
     results, world = [], run.experiment.world
-    classes = remembered(run).classes[:count]
-    for done, pattern in enumerate(classes):
+    for done, pattern in enumerate(patterns):
         if on_progress is not None:
-            on_progress("patterns formed", done, len(classes))
+            on_progress("patterns formed", done, len(patterns))
         other = forming(run, pattern.representative.positions)
         trajectories = other.rollout(episodes, key)
         validity = check_validity(trajectories, world, run.experiment.thresholds)
@@ -211,7 +212,7 @@ def form_each(
             )
         )
     if on_progress is not None:
-        on_progress("patterns formed", len(classes), len(classes))
+        on_progress("patterns formed", len(patterns), len(patterns))
     return results
 
 

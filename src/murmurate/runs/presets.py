@@ -10,7 +10,7 @@ from typing import Any, cast
 
 from murmurate.discovery import DiscoveryConfig, RestRule, StageConfig
 from murmurate.discovery.problem import GATHERING, GATHERING_SIGNALS
-from murmurate.errors import check_choice
+from murmurate.errors import InputError, check_choice
 from murmurate.learning import GradientConfig, PPOConfig
 from murmurate.policies import (
     CentralPolicy,
@@ -30,6 +30,7 @@ from murmurate.world import OBJECTIVES, ScatteredStart, Start, WorldConfig
 
 __all__ = [
     "DEFAULT_LEARNER",
+    "GENERAL_LEARNER",
     "TRAINING_PRESETS",
     "TrainingPreset",
     "command",
@@ -166,15 +167,19 @@ _FORMATION = TrainingPreset(
 )
 
 TRAINING_PRESETS = {
-    "equivariant": _EQUIVARIANT,
     "formation": _FORMATION,
+    "equivariant": _EQUIVARIANT,
     "central": _CENTRAL,
     "local": _LOCAL,
     "paper": _PAPER,
 }
 """Learners by name: one for each kind of policy, and the paper's own numbers."""
 
-DEFAULT_LEARNER = "equivariant"
+DEFAULT_LEARNER = "formation"
+"""Whose numbers the paper's experiments have, unless said otherwise."""
+
+GENERAL_LEARNER = "equivariant"
+"""The same of all other problems: it takes swarms of several sizes, and signals that have no gradient."""
 
 
 def preset(name: str, learner: str = DEFAULT_LEARNER, objective: str | None = None) -> ExperimentConfig:
@@ -182,7 +187,7 @@ def preset(name: str, learner: str = DEFAULT_LEARNER, objective: str | None = No
 
     Args:
         name: A to F.
-        learner: The training preset: equivariant, formation, central, local or paper.
+        learner: The training preset: formation, equivariant, central, local or paper.
         objective: An objective to use instead of the experiment's own.
 
     Raises:
@@ -206,7 +211,9 @@ def resolve(
         experiment: A to F, a problem of the package ("circle"; see `murmurate experiments`), a TOML file whose fields
             replace those of a scattered ten-robot experiment, or a configuration.
         *overlays: Fields to replace, as nested dictionaries; later ones win.
-        learner: The training preset; by default that of the policy.
+        learner: The training preset; by default that of the policy. Where no policy is named either, it is formation
+            for A to F, and equivariant for a file and for what formation does not serve: signals of one's own and
+            several swarm sizes.
         folders: Folders in which modules of "module:Class" are looked for, after that of the TOML file.
 
     Raises:
@@ -222,7 +229,7 @@ def resolve(
     data = config_io.merged({} if named else read_toml(experiment), *overlays)
     importer = make_importer(data, None if named else Path(experiment).parent)
     importer = replace(importer, folders=(*importer.folders, *folders))
-    chosen = _learner_name(learner, data)
+    chosen = _learner_name(learner, data, named)
     objective = data.get("objective")
     if objective is not None:
         check_choice("objective", objective, tuple(OBJECTIVES))
@@ -237,7 +244,9 @@ def resolve(
         base = _unrefined(base)
     if objective == "custom":
         base = _weighing(base, data.get("signals"))
-    return config_io.replaced(base, data, importer=importer)
+    config = config_io.replaced(base, data, importer=importer)
+    _check_used(config.base, base.base)
+    return config
 
 
 def command(config: ExperimentConfig) -> str:
@@ -250,8 +259,9 @@ def command(config: ExperimentConfig) -> str:
         return shlex.join(["murmurate", "discover", source, "--seed", str(config.seed)])
     policy = config.policy.name
     arguments = ["murmurate", "discover", config.name, "--seed", str(config.seed)]
-    arguments += ["--policy", policy] if policy != DEFAULT_LEARNER else []
-    learner = policy if policy in TRAINING_PRESETS else DEFAULT_LEARNER
+    usual = _learner_name(None, {"signals": config.signals, "sizes": config.sizes}, named=True)
+    arguments += ["--policy", policy] if policy != usual else []
+    learner = policy if policy in TRAINING_PRESETS else usual
     defaults = {leaf.path: leaf.value for leaf in config_io.leaves(preset(config.name, learner))}
     for leaf in config_io.leaves(config):
         is_given = leaf.path in ("seed", "policy.use") or leaf.path.startswith("modules.")
@@ -310,12 +320,29 @@ def _weighing(config: ExperimentConfig, signals: Any) -> ExperimentConfig:
     return replace(config, base=kept(config.base), auxiliary=kept(config.auxiliary))
 
 
-def _learner_name(learner: str | None, data: Mapping[str, Any]) -> str:
-    """Returns the training preset that was asked for, by its name or by the policy."""
+def _check_used(stage: StageConfig, numbers: StageConfig) -> None:
+    """Refuses numbers of PPO or of the search for goals where the preset trains by the other one.
+
+    Who names a learner as well may keep the numbers of another: a file that refines a run goes over the run's own.
+    """
+    if stage.learner != numbers.learner:
+        return
+    for learner in {"ppo", "goals"} - {stage.learner}:
+        usual = config_io.to_dict(getattr(numbers, learner))
+        for name, value in config_io.to_dict(getattr(stage, learner)).items():
+            if value != usual[name]:
+                others = [name for name, other in TRAINING_PRESETS.items() if other.base.learner == learner]
+                allowed = f"left out: base.learner is {stage.learner!r} here ({learner} is that of {', '.join(others)})"
+                raise InputError(f"base.{learner}.{name}", value, allowed)
+
+
+def _learner_name(learner: str | None, data: Mapping[str, Any], named: bool) -> str:
+    """Returns the training preset that was asked for, by its name or by the policy, or else that of such a problem."""
     if learner is not None:
         return learner
+    usual = DEFAULT_LEARNER if named and not data.get("signals") and not data.get("sizes") else GENERAL_LEARNER
     policy = data.get("policy")
     if isinstance(policy, Mapping):
         policy = policy.get(config_io.USE, policy.get(config_io.OLD_USE))
     use = policy.name if isinstance(policy, Policy) else policy
-    return use if isinstance(use, str) and use in TRAINING_PRESETS and use != "paper" else DEFAULT_LEARNER
+    return use if isinstance(use, str) and use in TRAINING_PRESETS and use != "paper" else usual

@@ -213,7 +213,7 @@ def gap(summary: Mapping[str, Any]) -> str:
     below, known = summary.get("gap"), summary.get("best_known")
     if not isinstance(below, float) or not isinstance(known, float) or math.isnan(below) or not known:
         return NONE
-    return f"{100 * below / known:.2f}%"
+    return f"{100 * below / known:.3f}%"
 
 
 def _count(summary: Mapping[str, Any], name: str) -> str:
