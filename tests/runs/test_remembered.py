@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import csv
 import re
+import shlex
+import shutil
 from dataclasses import replace
 
 import equinox as eqx
@@ -18,14 +20,14 @@ from murmurate.discovery import build_cascade
 from murmurate.errors import InputError, RunError
 from murmurate.geometry import smallest_ring
 from murmurate.geometry.similarity import distance
-from murmurate.runs import formations
+from murmurate.runs import formations, presets
 
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     """Experiment D with formations that were searched for a few hundred updates, and no way that was learned."""
     fields = {
-        "policy": {"use": "formation", "formations": 24, "hidden": [8, 4]},
+        "policy": {"use": "formation", "formations": 12, "hidden": [8, 4]},
         "base": {"refine": False, "goals": {"updates": 1200}},
         "discovery": {"chunk": 400, "episodes": 16, "sigma": 16},
     }
@@ -94,7 +96,7 @@ def test_where_no_formation_is_valid_there_are_no_patterns(run):
     network = run.cascade.policies[-1]
     crowd = eqx.tree_at(lambda n: n.places, network, jnp.zeros_like(network.places))
     nothing = replace(run, cascade=build_cascade(run.experiment, [crowd]))
-    with pytest.raises(RunError, match="none of the 24 formations"):
+    with pytest.raises(RunError, match="none of the 12 formations"):
         nothing.remembered()
 
 
@@ -123,10 +125,11 @@ def test_evaluate_writes_a_run_that_forms_what_it_was_told(run, tmp_path, capsys
     assert not (tmp_path / "x").exists()
 
 
-def test_many_patterns_in_one_command(tmp_path, capsys):
-    small = ["--policy.formations", "12", "--policy.hidden", "8,4", "--base.refine", "false", "--quiet"]
-    command = ["discover", "D", "--diverse", "40", *small, "--base.goals.updates", "1200"]
-    assert main([*command, "--out", str(tmp_path / "run")]) == 0
+def test_many_patterns_in_one_command(run, tmp_path, capsys):
+    shutil.copytree(run.folder, tmp_path / "run")
+    _, *flags = shlex.split(presets.command(run.experiment))
+    command = [*flags, "--diverse", "40", "--quiet"]
+    assert main([*command, "--out", str(tmp_path / "run"), "--resume"]) == 0  # the run is finished: nothing is trained
     output = capsys.readouterr().out
     found = int(re.search(r"(\d+) distinct patterns were discovered, \1 of them formed; 40 were asked for", output)[1])
     with (tmp_path / "run-patterns" / "formed.csv").open() as file:

@@ -213,7 +213,7 @@ def resolve(
         *overlays: Fields to replace, as nested dictionaries; later ones win.
         learner: The training preset; by default that of the policy. Where no policy is named either, it is formation
             for A to F, and equivariant for a file and for what formation does not serve: signals of one's own and
-            several swarm sizes.
+            several swarm sizes. A policy of one's own is trained by the numbers of equivariant.
         folders: Folders in which modules of "module:Class" are looked for, after that of the TOML file.
 
     Raises:
@@ -259,9 +259,9 @@ def command(config: ExperimentConfig) -> str:
         return shlex.join(["murmurate", "discover", source, "--seed", str(config.seed)])
     policy = config.policy.name
     arguments = ["murmurate", "discover", config.name, "--seed", str(config.seed)]
-    usual = _learner_name(None, {"signals": config.signals, "sizes": config.sizes}, named=True)
-    arguments += ["--policy", policy] if policy != usual else []
-    learner = policy if policy in TRAINING_PRESETS else usual
+    problem = {"signals": config.signals, "sizes": config.sizes}
+    arguments += ["--policy", policy] if policy != _learner_name(None, problem, named=True) else []
+    learner = _learner_name(None, {"policy": policy}, named=True)
     defaults = {leaf.path: leaf.value for leaf in config_io.leaves(preset(config.name, learner))}
     for leaf in config_io.leaves(config):
         is_given = leaf.path in ("seed", "policy.use") or leaf.path.startswith("modules.")
@@ -340,9 +340,11 @@ def _learner_name(learner: str | None, data: Mapping[str, Any], named: bool) -> 
     """Returns the training preset that was asked for, by its name or by the policy, or else that of such a problem."""
     if learner is not None:
         return learner
-    usual = DEFAULT_LEARNER if named and not data.get("signals") and not data.get("sizes") else GENERAL_LEARNER
     policy = data.get("policy")
     if isinstance(policy, Mapping):
         policy = policy.get(config_io.USE, policy.get(config_io.OLD_USE))
     use = policy.name if isinstance(policy, Policy) else policy
-    return use if isinstance(use, str) and use in TRAINING_PRESETS and use != "paper" else usual
+    if isinstance(use, str) and use in TRAINING_PRESETS and use != "paper":
+        return use
+    is_usual = named and use is None and not data.get("signals") and not data.get("sizes")
+    return DEFAULT_LEARNER if is_usual else GENERAL_LEARNER
