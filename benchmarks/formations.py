@@ -54,13 +54,13 @@ def pattern_row(name: str, run: murmurate.Run) -> tuple[str, ...]:
 
 
 def random_targets(run: murmurate.Run) -> list[np.ndarray]:
-    """Draws random formations that fit the world: points so narrow that the nearest two are a safe distance apart."""
+    """Draws random formations that fit the world, however turned: the nearest two points are a safe distance apart."""
     world, random, targets = run.experiment.world, np.random.default_rng(KEY), []
     while len(targets) < TARGETS:
         points = random.uniform(-1, 1, (world.robots, 2))
         points -= points.mean(axis=0)
         points *= 1.001 * world.safe_distance / nearest_distances(points).min()
-        if (np.abs(points).max(axis=0) + world.radius <= world.limits).all():
+        if np.linalg.norm(points, axis=1).max() + world.radius <= world.limits.min():
             targets.append(points)
     return targets
 
@@ -76,7 +76,7 @@ def target_row(run: murmurate.Run) -> tuple[str, ...]:
             told = other.forming(target)
             trajectories, world = told.rollout(TARGET_STARTS, key=number), run.experiment.world
             validity = murmurate.check_validity(trajectories, world)
-            formed += int((formations.distances_to_formed(told, trajectories.final) <= formations.FORMED).sum())
+            formed += int(formations.reached(told, trajectories).sum())
             failed += int((~(validity.contact_free & validity.inside)).sum())
             pairs = zip(trajectories.positions[:, 0], trajectories.final, strict=True)
             bound = np.mean([bound_steps(begin, final, world.max_speed) for begin, final in pairs])
@@ -130,6 +130,8 @@ def main() -> None:
     more = {name: run(f"{name}-formation-{MORE}-seed0", name, policy=policy) for name in MORE_OF if name in runs}
     sizes = [run(f"formation-{robots}-seed0", "E", world={"robots": robots}, start="random") for robots in TARGET_SIZES]
     runs, more = ({name: run for name, run in some.items() if run is not None} for some in (runs, more))
+    if not runs:
+        raise SystemExit(f"no finished run in {options.runs}")
     if "E" in runs:
         with tempfile.TemporaryDirectory() as folder:
             show(runs["E"].remembered(), Path(folder))

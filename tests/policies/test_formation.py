@@ -21,7 +21,7 @@ from murmurate.geometry.rings import smallest_ring
 from murmurate.geometry.similarity import align
 from murmurate.policies import FormationPolicy
 from murmurate.policies.assignment import assignment
-from murmurate.policies.formation import ROOM, WALL_ROOM, ArrivalReward, places_of
+from murmurate.policies.formation import SCALE_MARGIN, WALL_DISTANCE, ArrivalReward, places_of
 from murmurate.runs.presets import preset, resolve
 from murmurate.world import UniformStart, World, WorldConfig
 
@@ -124,7 +124,7 @@ def test_places_stay_inside_the_world():
     formation = jnp.asarray(smallest_ring(6, 1.0, 5.0).positions, jnp.float32)
     corner = jnp.asarray(WORLD.bounds)[None, :, None] - 1.0 - jnp.abs(points(6, 9, 2, spread=2.0))
     places = np.asarray(places_of(corner, formation, WORLD, landmark=False))
-    assert (np.abs(places) <= np.asarray(WORLD.bounds)[:, None] - WALL_ROOM + 1e-4).all()
+    assert (np.abs(places) <= np.asarray(WORLD.bounds)[:, None] - WALL_DISTANCE + 1e-4).all()
     for index in range(9):
         assert align(places[..., index], np.asarray(formation, float), scaling=False).distance < 1e-3
 
@@ -191,10 +191,10 @@ def test_settling_finds_the_least_valid_scale_and_the_best_first():
         nearest = (pairs + 1e9 * np.eye(6)).min(axis=(1, 2))
         return np.where(nearest >= 5.0, -np.linalg.norm(formations, axis=-1).mean(axis=1), -np.inf)
 
-    settled = np.moveaxis(np.asarray(made.settled(score).goals(), float), -1, 0)
+    settled = np.moveaxis(np.asarray(made.scaled_and_sorted(score).goals(), float), -1, 0)
     # Five around one are narrower than six around nobody; all at one place are no formation at any scale.
-    assert np.linalg.norm(settled[0], axis=1) == pytest.approx([*[5.0 * (1 + ROOM)] * 5, 0.0], abs=1e-4)
-    assert settled[1] == pytest.approx(ring * (1 + ROOM), abs=1e-4)
+    assert np.linalg.norm(settled[0], axis=1) == pytest.approx([*[5.0 * (1 + SCALE_MARGIN)] * 5, 0.0], abs=1e-4)
+    assert settled[1] == pytest.approx(ring * (1 + SCALE_MARGIN), abs=1e-4)
     assert np.isneginf(score(settled[2:])).all()
 
 
@@ -223,7 +223,7 @@ def searched():
 def test_the_search_finds_a_valid_pattern_without_a_step_of_the_world(searched):
     search, snapshot = searched
     goals = np.moveaxis(np.asarray(snapshot.unrefined.goals(), float), -1, 0)
-    worth = search.stage(search.begin())._worth(goals)
+    worth = search.stage(search.begin())._score(goals)
     assert np.isfinite(worth[0])
     assert worth[0] == worth.max()
 
@@ -256,7 +256,7 @@ def test_the_cost_of_a_step_is_how_far_the_formation_is():
 
 def test_a_swarm_forms_what_its_policy_remembers_from_a_start_elsewhere():
     experiment = preset("E", "formation")
-    ring = smallest_ring(8, 1.0, 5.0).positions * (1 + ROOM)
+    ring = smallest_ring(8, 1.0, 5.0).positions * (1 + SCALE_MARGIN)
     swarm = np.clip(np.moveaxis(np.asarray(points(8, 6, 5, spread=25.0)), -1, 0), -38, 38)
     trajectories = build_cascade(experiment, [network(ring, experiment.world)]).rollout(swarm)
     assert trajectories.at_rest.all()

@@ -14,9 +14,10 @@ import pytest
 from safetensors.numpy import load_file
 
 from murmurate.cli.main import main
+from murmurate.discovery import Search
 from murmurate.errors import InputError, RunError
 from murmurate.learning import sharding
-from murmurate.runs import train
+from murmurate.runs import presets, train
 from murmurate.runs.folder import RunFolder
 from tiny import tiny, write_toml
 
@@ -80,6 +81,38 @@ def test_four_devices_learn_what_one_learns(toml, one_device, tmp_path):
     finish(start(toml, tmp_path / "run", 4))
     assert RunFolder(tmp_path / "run").manifest()["devices"] == 4
     assert_same(tmp_path / "run", one_device)
+
+
+@pytest.mark.parametrize("learner", presets.TRAINING_PRESETS)
+def test_two_devices_share_the_episodes_of_every_preset(learner, monkeypatch):
+    """The search for formations has none."""
+    monkeypatch.setattr(sharding, "device_count", lambda: 2)
+    Search(presets.preset("C", learner)).check_devices()
+
+
+@pytest.mark.nightly
+def test_formations_are_searched_on_each_device_and_the_way_is_learned_on_all(tmp_path):
+    small = [
+        "--policy.formations",
+        4,
+        "--policy.hidden",
+        "8,4",
+        "--base.goals.updates",
+        30,
+        "--base.gradients.steps",
+        4,
+    ]
+    small += ["--base.gradients.updates", 2, "--base.gradients.worlds", 8, "--discovery.sigma", 8]
+    weights = []
+    for devices in (1, 4):
+        folder = tmp_path / str(devices)
+        # So short a search finds no valid pattern.
+        finish(start("D", folder, devices, *small, "--discovery.episodes", 8, "--quiet"), status=3)
+        assert RunFolder(folder).manifest()["devices"] == devices
+        assert [row["environment_steps"] for row in rows(folder)] == [0] * 30 + [32, 64]
+        weights.append(load_file(folder / "policies" / "0-base.safetensors"))
+    for name, value in weights[0].items():
+        np.testing.assert_allclose(value, weights[1][name], rtol=1e-3, atol=1e-4)
 
 
 @pytest.mark.nightly

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+import re
 import shlex
 from dataclasses import replace
 from pathlib import Path
@@ -161,15 +162,24 @@ def test_whose_numbers_a_problem_has_where_nobody_says(tmp_path):
 
 
 def test_numbers_of_a_learner_that_does_not_train_are_refused():
-    for policy, learner, name, value in (
-        ("formation", "goals", "ppo.updates", 10),
-        ("equivariant", "ppo", "goals.updates", 10),
-        ("central", "ppo", "goals.emphasis", 2.0),
+    for policy, learners, path, value in (
+        ("formation", "goals and gradients", "base.ppo.updates", 10),
+        ("formation", "goals and gradients", "base.repeat", 4),
+        ("formation", "goals and gradients", "base.weights", {"visible": 9.0}),
+        ("formation", "gradients", "auxiliary.ppo.updates", 10),
+        ("equivariant", "ppo and gradients", "base.goals.updates", 10),
+        ("equivariant", "gradients", "auxiliary.motion_cost", 0.5),
+        ("central", "ppo", "base.gradients.updates", 10),
     ):
-        given = {"policy": policy}, {"base": config_io.nested({name: value})}
-        with pytest.raises(InputError, match=rf"^base\.{name} = {value}: must be left out: .* is '{learner}' here"):
+        section = path.partition(".")[0]
+        given = {"policy": policy}, config_io.nested({path: value})
+        line = re.escape(f": must be left out: {section} is trained by {learners} here, without it")
+        with pytest.raises(InputError, match=rf"^{path}.* = .*{line}$"):
             presets.resolve("A", *given)
-        assert presets.resolve("A", *given, {"base": {"learner": "gradients"}}).base.learner == "gradients"
+        with pytest.raises(InputError, match=line):
+            presets.resolve(presets.preset("A", policy), config_io.nested({path: value}))
+        chosen = {section: {"learner": "gradients" if learners[0] != "g" or section == "base" else "ppo"}}
+        assert presets.resolve("A", *given, chosen).policy.name == policy
 
 
 @pytest.mark.parametrize("policy", ["equivariant", "central", "local"])

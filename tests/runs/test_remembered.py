@@ -53,10 +53,12 @@ def test_what_is_remembered_are_valid_patterns_best_first_each_once(run):
 
 
 def test_the_best_is_what_the_run_forms(run):
-    final = run.rollout(8, key=3).final
-    assert (formations.distances_to_formed(run, final) < formations.FORMED).all()
-    assert (formations.distances_to_formed(run.forming(1), final) < formations.FORMED).all()
-    assert (formations.distances_to_formed(run.forming(2), final) > formations.FORMED).all()
+    trajectories = run.rollout(8, key=3)
+    assert formations.reached(run, trajectories).all()
+    assert formations.reached(run.forming(1), trajectories).all()
+    assert not formations.reached(run.forming(2), trajectories).any()
+    trembling = replace(trajectories, at_rest=np.arange(8) < 3)
+    assert formations.reached(run, trembling).tolist() == [True] * 3 + [False] * 5
 
 
 def test_a_swarm_forms_what_it_is_told(run):
@@ -64,9 +66,34 @@ def test_a_swarm_forms_what_it_is_told(run):
     for formation in (2, len(run.remembered().classes), ring, ring + 7.0):
         other = run.forming(formation)
         trajectories = other.rollout(8, key=3)
-        assert trajectories.at_rest.all()
-        assert (formations.distances_to_formed(other, trajectories.final) < formations.FORMED).all()
+        assert formations.reached(other, trajectories).all()
     assert run.forming(ring).experiment == run.experiment
+
+
+def test_patterns_keep_their_numbers_whatever_is_formed(run):
+    patterns = [pattern.representative.positions for pattern in run.remembered().classes]
+    other = run.forming(np.int64(2))
+    for formed in (other, other.forming(2), other.forming(1).forming(2)):
+        for number in (0, 1, 2):
+            assert distance(formations.pattern(formed, number + 1), patterns[number]) < 1e-3
+
+
+def test_a_least_safety_of_ones_own_is_in_place_of_the_safe_distance(run):
+    near = 0.9 * smallest_ring(6, 0.4, 2.8).positions
+    with pytest.raises(InputError, match=r"two robots 2\.52 apart': must be at least safe_distance = 2\.8"):
+        run.forming(near)
+    own = run.under(replace(run.experiment, valid={"safety": 0.5}))
+    assert np.asarray(own.forming(near).cascade.policies[-1].goals())[..., 0] == pytest.approx(near, abs=1e-5)
+    with pytest.raises(InputError, match=r"at least 2 \* radius = 0\.8"):
+        own.forming(0.25 * near)
+
+
+def test_a_formation_is_inside_the_world_however_it_is_turned(run):
+    side = run.experiment.world.half_width
+    corners = np.array([[x, y] for x in (-1, 1) for y in (-1, 0, 1)]) * (side - 0.5)
+    with pytest.raises(InputError, match="inside the world however it is turned"):
+        run.forming(corners)
+    assert run.forming(corners / np.sqrt(2)).rollout(2, key=1).at_rest.all()
 
 
 def test_numbers_and_formations_that_cannot_be_formed_are_refused(run):
@@ -79,7 +106,7 @@ def test_numbers_and_formations_that_cannot_be_formed_are_refused(run):
         run.forming(ring[:5])
     with pytest.raises(InputError, match=r"two robots 2\.52 apart.*safe_distance = 2\.8"):
         run.forming(0.9 * ring)
-    with pytest.raises(InputError, match=r"inside the world, 70 x 70"):
+    with pytest.raises(InputError, match=r"must be at most 35, so that it is inside"):
         run.forming(20 * ring)
     with pytest.raises(InputError, match="finite numbers"):
         run.forming(np.full((6, 2), np.nan))
@@ -121,7 +148,7 @@ def test_evaluate_writes_a_run_that_forms_what_it_was_told(run, tmp_path, capsys
     assert "pattern = 99: must be a number from 1 to" in capsys.readouterr().err
     table.write_text("start,x,y\n" + "".join(f"{n},{x},{y}\n" for n in (0, 1) for x, y in ring))
     assert main(["evaluate", folder, "--target", str(table), "--out", str(tmp_path / "x")]) == 2
-    assert "ring.csv: formations = 2" in capsys.readouterr().err
+    assert "ring.csv = '2 starts': must be one start, which is the formation" in capsys.readouterr().err
     assert not (tmp_path / "x").exists()
 
 
@@ -131,7 +158,9 @@ def test_many_patterns_in_one_command(run, tmp_path, capsys):
     command = [*flags, "--diverse", "40", "--quiet"]
     assert main([*command, "--out", str(tmp_path / "run"), "--resume"]) == 0  # the run is finished: nothing is trained
     output = capsys.readouterr().out
-    found = int(re.search(r"(\d+) distinct patterns were discovered, \1 of them formed; 40 were asked for", output)[1])
+    found = int(
+        re.search(r"(\d+) distinct patterns were discovered; swarms were told to form the best \1; 40 were", output)[1]
+    )
     with (tmp_path / "run-patterns" / "formed.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert [row["pattern"] for row in rows] == [f"P{number}" for number in range(1, found + 1)]
@@ -142,7 +171,8 @@ def test_many_patterns_in_one_command(run, tmp_path, capsys):
     for flags, words in (
         (["--diverse", "0"], "--diverse = 0: must be an integer >= 1"),
         (["--diverse", "2", "--policy", "central"], "central remembers no formations"),
-        (["--diverse", "2", "--seeds", "2"], "without --seeds"),
+        (["--diverse", "2", "--seeds", "2"], "without --seeds and --vary"),
+        (["--diverse", "2", "--hosts", "2"], "train first, then give --diverse"),
     ):
         assert main(["discover", "D", *flags, "--out", str(tmp_path / "other")]) == 2
         assert words in capsys.readouterr().err

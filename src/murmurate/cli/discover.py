@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import sys
 from argparse import Namespace
 from collections.abc import Callable, Sequence
@@ -59,12 +60,19 @@ def run(argv: Sequence[str]) -> int:
     from murmurate.runs.run import Run
     from murmurate.runs.train import discover
 
-    argv = _with_formations(argv)
     options, flags = _parser(word, argv).parse(argv)
     _join(options)
     overlay = read_toml(options.config) if options.config else {}
-    folders = _module_folders(options.config)
-    config = presets.resolve(options.experiment, overlay, flags, learner=options.learner, folders=folders)
+    build = functools.partial(
+        presets.resolve,
+        options.experiment,
+        overlay,
+        flags,
+        learner=options.learner,
+        default=_default_learner(argv),
+        folders=_module_folders(options.config),
+    )
+    config = build()
     if options.diverse is not None:
         _check_diverse(options, config)
     name = run_name(config.name, options.learner or config.policy.name)
@@ -72,7 +80,7 @@ def run(argv: Sequence[str]) -> int:
     if options.seeds is not None or options.vary:
         from murmurate.cli.many import discover_many
 
-        grid = Grid.from_flags(config, name, options.seeds if options.seeds is not None else 1, options.vary)
+        grid = Grid.from_flags(config, name, options.seeds if options.seeds is not None else 1, options.vary, build)
         with _events(options.tensorboard) as events:
             out = Path(options.out or "runs")
             return discover_many(grid, out, name, options.resume, options.together, events, options.quiet, initial)
@@ -101,10 +109,12 @@ def _patterns_folder(folder: RunFolder) -> Path:
     return Path(f"{folder.path}-patterns")
 
 
-def _with_formations(argv: Sequence[str]) -> Sequence[str]:
-    """Returns the command line with the policy that many patterns need, where it names none."""
+def _default_learner(argv: Sequence[str]) -> str | None:
+    """Returns the training preset that the flags need where they name none, nor a policy; None for the usual one."""
     names = {word.partition("=")[0] for word in argv}
-    return [*argv, "--policy", "formation"] if "--diverse" in names and not names & {"--policy", "--learner"} else argv
+    if "--diverse" in names:
+        return "formation"
+    return "equivariant" if "--sizes" in names else None
 
 
 def _check_diverse(options: Namespace, config: ExperimentConfig) -> None:
@@ -112,8 +122,8 @@ def _check_diverse(options: Namespace, config: ExperimentConfig) -> None:
     check_number("--diverse", options.diverse, 1, MAX_INTEGER, integer=True)
     if not config.policy.has_goals:
         raise UsageError(f"--diverse needs the policy formation: {config.policy.name} remembers no formations")
-    if options.seeds is not None or options.vary or options.hosts is not None:
-        raise UsageError("--diverse is for one run: give it without --seeds, --vary and --hosts")
+    if options.seeds is not None or options.vary:
+        raise UsageError("--diverse is for one run: give it without --seeds and --vary")
 
 
 def _form_each(run: Run, folder: RunFolder, count: int, quiet: bool) -> None:
@@ -134,8 +144,10 @@ def _form_each(run: Run, folder: RunFolder, count: int, quiet: bool) -> None:
     Console().print(table.as_rich(formations.FORMED_HEADER, rows))
     found = len(patterns.classes)
     lacking = "" if found >= count else f"; {count} were asked for: try more --policy.formations"
-    say(f"{found} distinct patterns were discovered, {len(formed)} of them formed{lacking}")
-    say(f"formed: {out / 'formed.csv'}; to form one: murmurate evaluate {folder.path} --pattern 2 --out DIR")
+    say(f"{found} distinct patterns were discovered; swarms were told to form the best {len(formed)}{lacking}")
+    say(
+        f"formed: {out / 'formed.csv'}; to form one: murmurate evaluate {folder.path} --pattern {len(formed)} --out DIR"
+    )
 
 
 def _module_folders(config: str | None) -> list[Path]:
@@ -164,7 +176,7 @@ def _parser(word: str | None, argv: Sequence[str]) -> Parser:
     text = "import the modules that the run of --from names, which executes them"
     parser.add_argument("--trust", action="store_true", help=text)
     parser.add_argument("--quiet", action="store_true", help="do not show the progress")
-    text = "discover this many distinct patterns, with the policy formation, and form each of them from 50 starts"
+    text = "catalogue the distinct patterns that the policy formation remembers, and form the best INT from 50 starts"
     parser.add_argument("--diverse", type=int, metavar="INT", help=text)
     many = "train this many seeds, from --seed on, and catalogue what they find; --out is then the folder of all"
     parser.add_argument("--seeds", type=int, metavar="INT", help=many)
@@ -187,6 +199,7 @@ def _parser(word: str | None, argv: Sequence[str]) -> Parser:
         overlay,
         chosen_strategies(argv, aliases),
         learner=given["--learner"],
+        default=_default_learner(argv),
         folders=_module_folders(given["--config"]),
     )
     parser.add_fields(shown, aliases, skip=[leaf.path for leaf in leaves(shown) if leaf.path.startswith("modules.")])
@@ -212,6 +225,8 @@ def _join(options: Namespace) -> None:
         return
     if options.seeds is not None or options.vary:
         raise UsageError("--hosts is for one run, and --seeds and --vary are for many (see murmurate sweep)")
+    if options.diverse is not None:
+        raise UsageError("--hosts is for training: train first, then give --diverse with --resume on one host")
     from murmurate.learning import sharding
 
     if options.hosts == "auto":

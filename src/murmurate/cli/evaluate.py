@@ -59,7 +59,7 @@ def run(argv: Sequence[str]) -> int:
     result.save(target)
     summary.print_results(opened, target)
     if is_other:
-        near = formations.distances_to_formed(opened, result.trajectories.final) <= formations.FORMED
+        near = formations.reached(opened, result.trajectories)
         say(f"formed within {formations.FORMED:g} R in {near.sum()} of {len(near)} episodes")
     say(f"picture: {summary.draw(target)}")
     say("record: " + ", ".join(map(str, target.evaluation_files)))

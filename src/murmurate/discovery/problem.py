@@ -41,6 +41,14 @@ DAMPED = 0.5
 """Share of the speed limit from which on no move is damped."""
 
 
+_READ = {
+    "ppo": ("ppo", "weights", "repeat", "motion_cost", "margin"),
+    "gradients": ("gradients",),
+    "goals": ("goals",),
+}
+"""Which numbers of a stage each learner reads; what is named by none of them is where episodes begin, and how long."""
+
+
 @dataclass(frozen=True)
 class StageConfig:
     """How one policy of the list is trained (the paper's Algorithm 1).
@@ -114,6 +122,12 @@ class StageConfig:
     def learners(self) -> tuple[str, ...]:
         """The learners that train the policy, one after the other: its phases."""
         return (self.learner, "gradients") if self.refine and self.learner != "gradients" else (self.learner,)
+
+    @property
+    def unread(self) -> set[str]:
+        """Fields that none of the learners reads."""
+        read = {name for learner in self.learners for name in _READ[learner]}
+        return {name for names in _READ.values() for name in names} - read
 
     def learning(self, phase: int) -> LearnerConfig:
         """Returns the numbers of the learner of a phase."""

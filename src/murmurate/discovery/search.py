@@ -47,7 +47,7 @@ class Snapshot:
             when every episode of the policy before ended in contact or outside the world.
         valid: Share of valid patterns after the last finished policy.
         train: Training of the current policy; None before its first update in a phase.
-        unrefined: What ppo has discovered and gradients are to refine; None in the first phase of a policy.
+        unrefined: What the first learner has trained and gradients are to refine; None in the first phase of a policy.
         finished: Whether the search is over.
     """
 

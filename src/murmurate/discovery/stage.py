@@ -16,7 +16,7 @@ from murmurate import prng
 from murmurate.discovery.build import build_environment, build_networks
 from murmurate.discovery.curriculum import Curriculum
 from murmurate.discovery.problem import Problem
-from murmurate.discovery.validity import check_pattern, replaced_conditions
+from murmurate.discovery.validity import is_valid_pattern
 from murmurate.learning import LEARNERS, Chunk, Learner, TrainState
 from murmurate.world import (
     ActionRepeat,
@@ -120,7 +120,9 @@ def _discovery_environment(problem: Problem, index: int, start: Start, sigma: An
 def _refinement_environment(problem: Problem, index: int, start: Start, sigma: Any, policy: Any) -> Wrapper:
     """Every step costs what the objective of smooth signals lacks, or what the policy says."""
     env = build_environment(problem, refinement_world(problem, index, start, sigma))
-    env = problem.policy.refined_in(env, policy, problem.landmark, with_array_leaves(problem.objective_signals))
+    env = problem.policy.refinement_environment(
+        env, policy, problem.landmark, with_array_leaves(problem.objective_signals)
+    )
     return _with_motion_cost(env, problem.stage(index).gradients.motion_cost)
 
 
@@ -223,14 +225,12 @@ class Stage:
     def result(self, train: TrainState) -> Any:
         """Returns the policy network that the training has come to, its best goal first where it has searched goals."""
         policy = train.result
-        return policy.settled(self._worth) if self._learner.searches_goals else policy
+        return policy.scaled_and_sorted(self._score) if self._learner.searches_goals else policy
 
-    def _worth(self, formations: Float[np.ndarray, "formations robots 2"]) -> Float[np.ndarray, " formations"]:
+    def _score(self, formations: Float[np.ndarray, "formations robots 2"]) -> Float[np.ndarray, " formations"]:
         """Returns the objective of formations in float64; -inf for one that is no valid pattern at rest."""
         problem = self.curriculum.problem
-        flags = check_pattern(formations, problem.world, problem.thresholds)
-        replaced = replaced_conditions(problem.thresholds)
-        valid = np.logical_and.reduce([flag for name, flag in flags.items() if name not in replaced])
+        valid = is_valid_pattern(formations, problem.world, problem.thresholds)
         objective = Objective(problem.objective_signals)
         configuration = Configuration(np.moveaxis(formations.astype(float), 0, -1), problem.world)
         return np.where(valid, objective(objective.measure(configuration)), -np.inf)

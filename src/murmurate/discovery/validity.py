@@ -27,6 +27,7 @@ __all__ = [
     "check_pattern",
     "check_validity",
     "contact_free_and_inside",
+    "is_valid_pattern",
     "replaced_conditions",
 ]
 
@@ -157,6 +158,16 @@ def check_pattern(
     }
 
 
+def is_valid_pattern(
+    positions: Float[np.ndarray, "configurations robots 2"],
+    world: WorldConfig,
+    thresholds: Mapping[str, tuple[Signal, float]] | None = None,
+) -> Flags:
+    """Returns which configurations are valid patterns; see `check_pattern`, whose conditions thresholds may replace."""
+    flags, replaced = check_pattern(positions, world, thresholds), replaced_conditions(thresholds or {})
+    return np.logical_and.reduce([flag for name, flag in flags.items() if name not in replaced])
+
+
 def _stationary(
     trajectories: Trajectories, formed: Flags, world: WorldConfig, thresholds: Mapping[str, tuple[Signal, float]]
 ) -> Flags:
@@ -167,13 +178,10 @@ def _stationary(
     contact_free, inside = contact_free_and_inside(moves, world)
     drift = np.linalg.norm(moves[:, -1].astype(float) - moves[:, 0], axis=-1).max(axis=-1)
     stationary = formed & contact_free & inside & (drift <= DRIFT * world.radius)
-    replaced = replaced_conditions(thresholds)
     for step in range(1, moves.shape[1]):
         changed = np.flatnonzero(stationary & (moves[:, step] != moves[:, step - 1]).any(axis=(1, 2)))
         if len(changed):
-            flags = check_pattern(moves[changed, step], world, thresholds)
-            required = [flag for name, flag in flags.items() if name not in replaced]
-            stationary[changed] = np.logical_and.reduce(required)
+            stationary[changed] = is_valid_pattern(moves[changed, step], world, thresholds)
     return stationary
 
 

@@ -38,17 +38,17 @@ class GoalConfig:
         weights: Weights of signals that have a gradient, by name: of the objective, of one's own, or of the package;
             gathering stands for centered (C1) or compact (C2).
         margins: Margins of the package's signals among them, by name, in place of their own.
-        softness: Of the signals that have a softness, at the first update: lacks below it count by their square, and
-            larger ones in proportion.
-        softness_end: The same at the last update; it falls geometrically. In the end almost every lack counts in
-            proportion, so that nothing is lacking at all where the weights are large enough.
+        softness: Shortfall of a signal up to which it is penalised by its square, and beyond which in proportion; at
+            the first update, for the signals that have a softness.
+        softness_end: The same at the last update; it falls geometrically. In the end almost every shortfall is
+            penalised in proportion, so that none is left where the weights are large enough.
         emphasis: Factor on the weights of the signals that have a softness, at the first update; it falls to 1. At
             first robots sort out who sees whom, then they close up.
     """
 
-    # No step is taken: where steps are counted, an update counts as one.
-    worlds: ClassVar[int] = 1
-    steps: ClassVar[int] = 1
+    # No step is taken, in no episode.
+    worlds: ClassVar[int] = 0
+    steps: ClassVar[int] = 0
     minibatches: ClassVar[int] = 1
 
     updates: int = 3000
@@ -156,7 +156,7 @@ def train_chunk(
 
         (total, (values, quantities)), gradient = eqx.filter_value_and_grad(loss, has_aux=True)(state.policy)
         norm = optax.tree.norm(gradient)
-        # A goal without a finite gradient is left where it is.
+        # What is not finite of a gradient moves nothing.
         gradient = jax.tree.map(lambda g: jnp.where(jnp.isfinite(g), g, 0.0), gradient)
         rate = hyper.rate * (hyper.rate_end / hyper.rate) ** progress
         policy, moments = descend(state.policy, state.policy_moments, gradient, rate, jnp.inf)

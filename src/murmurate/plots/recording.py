@@ -116,7 +116,7 @@ class Recording:
         starts = "" if is_fresh(summary) else describe_starts(summary)
         searched = [row for row in rows if row.get("learner") == "goals"]
         moved = [row for row in rows if row.get("learner") != "goals" and row["policy"] < kept]
-        search = _curve("search", searched) if searched else None
+        search = _curve("search", searched, steps=range(1, len(searched) + 1)) if searched else None
         return cls(config, folder.trajectories(config), _curves(moved), starts, search)
 
     def __post_init__(self) -> None:
@@ -203,9 +203,9 @@ def _curves(rows: Iterable[Mapping[str, Any]]) -> list[TrainingCurve]:
     return [_curve(policy_name(index), updates) for index, (_, updates) in enumerate(sorted(by_policy.items()))]
 
 
-def _curve(name: str, updates: Sequence[Mapping[str, Any]]) -> TrainingCurve:
+def _curve(name: str, updates: Sequence[Mapping[str, Any]], steps: Iterable[int] | None = None) -> TrainingCurve:
     return TrainingCurve(
         name=name,
-        environment_steps=np.array([row["environment_steps"] for row in updates], float),
+        environment_steps=np.array(steps or [row["environment_steps"] for row in updates], float),
         signals={name: np.array([row["signals"][name] for row in updates], float) for name in updates[0]["signals"]},
     )

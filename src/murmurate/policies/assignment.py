@@ -12,7 +12,7 @@ from jaxtyping import Array, Float, Int
 
 __all__ = ["assignment"]
 
-DEAREST = 1e30
+NON_FINITE_COST = 1e30
 
 
 def assignment(cost: Float[Array, "size size batch"]) -> Int[Array, "size batch"]:
@@ -21,7 +21,7 @@ def assignment(cost: Float[Array, "size size batch"]) -> Int[Array, "size batch"
     Args:
         cost: What each row (first axis) pays for each column. What is not finite counts as dearer than anything.
     """
-    cost = jax.lax.stop_gradient(jnp.where(jnp.isfinite(cost), cost, DEAREST))
+    cost = jax.lax.stop_gradient(jnp.where(jnp.isfinite(cost), cost, NON_FINITE_COST))
     size, _, batch = cost.shape
     # A path begins at the row that has no column yet, which holds one more column, the last.
     columns = jnp.arange(size + 1)[:, None]

@@ -35,8 +35,8 @@ class Policy(Strategy):
     - `perceives`: robots act on an `Observation`, each on its own view alone, instead of on all positions.
     - `any_size`: the same weights act in swarms of any size.
     - `has_goals`: the policy network steers to goals of its own, which the learner `goals` searches. It has two more
-      methods: `goals()` returns them, `(robots, 2, goals)`, and `settled(score)` returns the network with its best goal
-      first; see `FormationNetwork`.
+      methods: `goals()` returns them, `(robots, 2, goals)`, and `scaled_and_sorted(score)` returns the network with its
+      best goal first; see `FormationNetwork`.
 
     Attributes:
         credit: Which reward an action learns from: every robot's velocity from the change of its own potential
@@ -58,7 +58,7 @@ class Policy(Strategy):
         """Whether robots act on the walls that they perceive, so that their sensing has to show them."""
         return False
 
-    def refined_in(
+    def refinement_environment(
         self, env: World | Wrapper, network: Any, landmark: bool, recorded: dict[str, Signal]
     ) -> World | Wrapper:
         """Returns an environment with the rewards by which gradients refine the policy.

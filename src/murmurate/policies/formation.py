@@ -4,7 +4,8 @@ Each robot sees all positions. The formation is laid on the swarm by least squar
 point is not known) and its places given to robots, so that the sum of the squared distances from robots to their places
 is least. Straight motion at such speeds that all arrive together keeps this superposition the best one: the distance of
 two patterns is a metric, and the swarm moves along a shortest way. So robots that remember nothing stay with the places
-that they chose. Straight ways to places assigned by least squares never cross.
+that they chose. On straight paths to places assigned by least squares, no two robots are at the same point at the same
+time.
 
 Discs have a width, though, and a swarm may begin in a crowd. A network sees, beside the surroundings that an
 equivariant policy sees, where each robot and each other one is heading, and adds velocities that give way. They fade
@@ -45,21 +46,27 @@ from murmurate.world.starts import bounds_of
 
 __all__ = ["ArrivalReward", "FormationNetwork", "FormationPolicy", "places_of"]
 
-TURNS = 8
+START_ANGLES = 8
 """Directions from which the best superposition is looked for."""
 
 ROUNDS = 2
-"""How often places are assigned, and the formation is turned to suit, in each of them."""
+"""Rounds from each of them: places are assigned, then the formation is turned to fit them."""
 
 SPREADS = (0.05, 0.7)
 """Spread of the narrowest and the widest formation before training, in radii of the smallest valid ring. From narrow
 ones the best patterns are found more often, and from wide ones others."""
 
 SCALES = (0.9, 1.15)
-"""Scales among which a trained formation gets the best."""
+"""Least and greatest scale that are tried for a trained formation."""
 
-ROOM = 2e-4
+SCALE_MARGIN = 2e-4
 """How much larger than the least valid scale a formation is made, as a share: robots stop within rounding of places."""
+
+WALL_DISTANCE = 1.2
+"""Distance that places keep from walls, in radii: a shield lets robots come near a wall only slowly."""
+
+HEADING_CHANNELS = 4
+"""Where the observer and the other robot of a pair are heading, along the line between them and across."""
 
 
 @Policy.register("formation")
@@ -94,7 +101,7 @@ class FormationPolicy(Policy):
         value = EquivariantPolicy(hidden=self.hidden, basis=self.basis)
         return FormationNetwork(self, world, landmark, first), EquivariantValue(value, world, landmark, second)
 
-    def refined_in(
+    def refinement_environment(
         self, env: World | Wrapper, network: FormationNetwork, landmark: bool, recorded: dict[str, Signal]
     ) -> Wrapper:
         """Returns an environment in which every step costs how far the swarm is from the best formation."""
@@ -138,7 +145,7 @@ class FormationNetwork(PolicyNetwork):
 
     def __call__(self, observation: Float[Array, "robots 2 *batch"]) -> Float[Array, "robots 2 *batch"]:
         """Returns the most likely velocities, world units per step."""
-        # Formations learn what they are worth, not the way into them.
+        # The learner goals alone trains the formations: no gradient of a motion reaches them.
         places = jax.lax.stop_gradient(self.goals()[..., 0])
         offsets = places_of(observation, places, self.world, self.landmark) - observation
         speed = self.world.max_speed
@@ -153,11 +160,15 @@ class FormationNetwork(PolicyNetwork):
         """Returns all formations, world units: the configurations that this policy can bring a swarm to."""
         return jnp.moveaxis(_unit(self.world) * self.places, 0, -1)
 
-    def remembering(self, formation: Float[Array, "robots 2"]) -> FormationNetwork:
-        """Returns this network with another formation, world units, in the place of the first, which swarms form."""
-        return eqx.tree_at(lambda n: n.places, self, self.places.at[0].set(formation / _unit(self.world)))
+    def with_first(self, formation: Float[Array, "robots 2"]) -> FormationNetwork:
+        """Returns this network with another formation, world units, as the first, which swarms form.
 
-    def settled(self, score: Callable[[np.ndarray], np.ndarray]) -> FormationNetwork:
+        The others move down, and the last one, which was worth least, is forgotten.
+        """
+        first = formation[None] / _unit(self.world)
+        return eqx.tree_at(lambda n: n.places, self, jnp.concatenate([first, self.places[:-1]]))
+
+    def scaled_and_sorted(self, score: Callable[[np.ndarray], np.ndarray]) -> FormationNetwork:
         """Returns this network with every formation at its best scale, and the best formation first.
 
         Args:
@@ -169,7 +180,7 @@ class FormationNetwork(PolicyNetwork):
             places = places - places.mean(axis=1, keepdims=True)
         scales, scores = _best_scales(places, score)
         order = np.argsort(-scores, kind="stable")
-        places = (places * (scales * (1 + ROOM))[:, None, None])[order] / _unit(self.world)
+        places = (places * (scales * (1 + SCALE_MARGIN))[:, None, None])[order] / _unit(self.world)
         return eqx.tree_at(lambda n: n.places, self, jnp.asarray(places, self.places.dtype))
 
     def _around(
@@ -178,7 +189,7 @@ class FormationNetwork(PolicyNetwork):
         offsets: Float[Array, "robots 2 *batch"],
         straight: Float[Array, "robots 2 *batch"],
     ) -> Float[Array, "robots 2 *batch"]:
-        """Returns velocities, in speed limits, that lead robots on their ways around each other."""
+        """Returns velocities, in speed limits, that lead robots around each other."""
         world = self.world
         dx, dy, apart = offsets_between(positions)
         around = pair_and_robot_features(dx, dy, apart, offsets[:, 0], offsets[:, 1], self.basis, world, landmark=True)
@@ -228,10 +239,6 @@ class ArrivalReward(Wrapper):
         return after, Transition(reward, transition.terminated, transition.truncated, signals, reward[None])
 
 
-HEADING_CHANNELS = 4
-"""Where the observer and the other robot of a pair are heading, along the line between them and across."""
-
-
 def places_of(
     positions: Float[Array, "robots 2 *batch"],
     formation: Float[Array, "robots 2"],
@@ -256,15 +263,11 @@ def places_of(
     turn, order = _superposition(*map(jax.lax.stop_gradient, (swarms - center, formation)))
     places = _turned(jnp.moveaxis(formation[order], -1, 1), turn) + center
     if not landmark and world.bounded:
-        limits = bounds_of(world) - WALL_ROOM * world.radius
+        limits = bounds_of(world) - WALL_DISTANCE * world.radius
         below = jnp.maximum(-limits - jnp.min(places, axis=0), 0.0)
         above = jnp.maximum(jnp.max(places, axis=0) - limits, 0.0)
         places = places + jax.lax.stop_gradient(below - above)
     return places.reshape(positions.shape)
-
-
-WALL_ROOM = 1.2
-"""Distance that places keep from walls, in radii: a shield lets robots come near a wall only slowly."""
 
 
 def _superposition(
@@ -280,16 +283,16 @@ def _superposition(
     # greatest, those of all places and robots turned by nothing (real) and by a quarter (imaginary).
     x, y = swarms[:, None, 0], swarms[:, None, 1]
     px, py = formation[None, :, 0, None], formation[None, :, 1, None]
-    along, across = (jnp.tile(z, TURNS) for z in (px * x + py * y, px * y - py * x))
-    turn = jnp.repeat(jnp.arange(TURNS) * (2 * math.pi / TURNS), batch)
-    order, real, imaginary = jnp.zeros((robots, TURNS * batch), int), turn, turn
+    along, across = (jnp.tile(z, START_ANGLES) for z in (px * x + py * y, px * y - py * x))
+    turn = jnp.repeat(jnp.arange(START_ANGLES) * (2 * math.pi / START_ANGLES), batch)
+    order, real, imaginary = jnp.zeros((robots, START_ANGLES * batch), int), turn, turn
     for _ in range(ROUNDS):
         order = assignment(-(jnp.cos(turn) * along + jnp.sin(turn) * across))
         real, imaginary = (
             jnp.sum(jnp.take_along_axis(z, order[:, None], axis=1)[:, 0], axis=0) for z in (along, across)
         )
         turn = jnp.atan2(imaginary, real)
-    best = jnp.argmax((real**2 + imaginary**2).reshape(TURNS, batch), axis=0)
+    best = jnp.argmax((real**2 + imaginary**2).reshape(START_ANGLES, batch), axis=0)
     place = best * batch + jnp.arange(batch)
     return turn[place], order[:, place]
 
@@ -317,9 +320,9 @@ def _unit(world: WorldConfig) -> float:
 def _best_scales(
     places: Float[np.ndarray, "formations robots 2"], score: Callable[[np.ndarray], np.ndarray]
 ) -> tuple[Float[np.ndarray, " formations"], Float[np.ndarray, " formations"]]:
-    """Returns the scale of each formation at which its score is best, and that score.
+    """Returns the scale of each formation at which its score is best, and that score; 1 where no scale is valid.
 
-    The best of evenly spaced scales first; then, by halves, what is left between it and the next smaller one.
+    The best of geometrically spaced scales first; then bisection between it and the next smaller one.
     """
     scales = np.geomspace(*SCALES, 101)
     scores = np.stack([score(scale * places) for scale in scales])
@@ -331,4 +334,4 @@ def _best_scales(
         better = scored >= value
         high, value = np.where(better, middle, high), np.where(better, scored, value)
         low = np.where(better, low, middle)
-    return high, value
+    return np.where(np.isneginf(value), 1.0, high), value

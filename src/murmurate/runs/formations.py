@@ -10,19 +10,20 @@ from typing import TYPE_CHECKING, Any
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from murmurate.analysis import Catalogue, Finding, PatternClass
 from murmurate.analysis.optimum.best_known import best_known
 from murmurate.analysis.optimum.formation import Target
 from murmurate.discovery import build_cascade
-from murmurate.discovery.validity import bound_steps, check_pattern, check_validity, replaced_conditions
-from murmurate.errors import InputError, RunError, check_number
+from murmurate.discovery.validity import bound_steps, check_validity, is_valid_pattern, replaced_conditions
+from murmurate.errors import InputError, RunError
 from murmurate.geometry import distances
 from murmurate.geometry.similarity import configuration, distance
 from murmurate.policies.formation import FormationNetwork
 from murmurate.representation import short_repr
 from murmurate.runs.table import gap
+from murmurate.types import Trajectories
 from murmurate.world import Configuration, Objective, read_starts
 
 if TYPE_CHECKING:
@@ -32,10 +33,10 @@ __all__ = [
     "FORMED",
     "FORMED_HEADER",
     "Formed",
-    "distances_to_formed",
     "form_each",
     "forming",
     "pattern",
+    "reached",
     "read_target",
     "remembered",
 ]
@@ -53,8 +54,7 @@ def remembered(run: Run) -> Catalogue:
     """
     config, world = run.experiment, run.experiment.world
     formations = np.moveaxis(np.asarray(_network(run).goals(), float), -1, 0)
-    flags, replaced = check_pattern(formations, world, config.thresholds), replaced_conditions(config.thresholds)
-    valid = np.logical_and.reduce([flag for name, flag in flags.items() if name not in replaced])
+    valid = is_valid_pattern(formations, world, config.thresholds)
     if not valid.any():
         raise RunError(f"{run.folder}: none of the {len(valid)} formations of its policy is a valid pattern")
     objective = Objective(config.objective_signals)
@@ -94,7 +94,7 @@ def pattern(run: Run, number: Any) -> Float[np.ndarray, "robots 2"]:
         RunError: None of them is a valid pattern.
     """
     classes = remembered(run).classes
-    if isinstance(number, bool) or not isinstance(number, int) or not 1 <= number <= len(classes):
+    if isinstance(number, bool) or not isinstance(number, int | np.integer) or not 1 <= number <= len(classes):
         allowed = f"a number from 1 to {len(classes)}: the policy remembers so many distinct valid patterns"
         raise InputError("pattern", number, allowed)
     return classes[number - 1].representative.positions
@@ -109,8 +109,8 @@ def forming(run: Run, formation: Any) -> Run:
             point where it is known.
 
     Raises:
-        InputError: There is no such class; robots would overlap, be nearer than the safe distance or outside the
-            world; there are too few or too many; or the policy remembers no formations.
+        InputError: There is no such class; robots would overlap, be nearer than the safe distance or, with the
+            formation turned, outside the world; there are too few or too many; or the policy remembers no formations.
     """
     network, world = _network(run), run.experiment.world
     places = pattern(run, formation) if np.ndim(formation) == 0 else configuration(formation)
@@ -119,16 +119,17 @@ def forming(run: Run, formation: Any) -> Run:
     if not run.experiment.landmark:
         places = places - places.mean(axis=0)
     apart = distances(places)[~np.eye(len(places), dtype=bool)]
-    if apart.size and apart.min() < world.safe_distance:
-        allowed = f"of robots at least safe_distance = {world.safe_distance:g} apart"
-        raise InputError("formation", f"two robots {apart.min():.6g} apart", allowed)
-    reach = np.abs(places).max(axis=0) + world.radius
-    if (reach > world.limits).any():
-        size = " x ".join(f"{2 * side:g}" for side in world.limits)
-        raise InputError(
-            "formation", f"one that reaches {reach.max():.6g} from its centre", f"inside the world, {size}"
-        )
-    other = network.remembering(jnp.asarray(places, jnp.float32))
+    # A least value of safety in a valid pattern stands in place of the safe distance.
+    is_safe = "safe" not in replaced_conditions(run.experiment.thresholds)
+    name, least = ("safe_distance", world.safe_distance) if is_safe else ("2 * radius", 2 * world.radius)
+    if apart.size and apart.min() < least:
+        raise InputError("formation", f"two robots {apart.min():.6g} apart", f"at least {name} = {least:g}")
+    # A swarm turns it as suits.
+    reach, side = np.linalg.norm(places, axis=1).max() + world.radius, world.limits.min()
+    if world.bounded and reach > side:
+        allowed = f"at most {side:g}, so that it is inside the world however it is turned"
+        raise InputError("formation", f"one that reaches {reach:.6g} from its centre", allowed)
+    other = network.with_first(jnp.asarray(places, jnp.float32))
     policies = (*run.cascade.policies[:-1], other)
     return replace(run, cascade=build_cascade(run.experiment, policies))
 
@@ -140,7 +141,7 @@ class Formed:
     Attributes:
         pattern: The class of the pattern.
         episodes: How many starts there were.
-        formed: In how many of them the swarm came to rest within `FORMED` radii of it.
+        formed: In how many of them the swarm came to rest within `FORMED` radii of it, as a root mean square.
         valid: In how many of them it formed a valid pattern.
         failed: In how many of them there was a contact or an exit.
         steps: Formation steps, mean.
@@ -204,7 +205,7 @@ def form_each(
             Formed(
                 pattern=pattern,
                 episodes=episodes,
-                formed=int((distances_to_formed(other, trajectories.final) <= FORMED).sum()),
+                formed=int(reached(other, trajectories).sum()),
                 valid=int(validity.valid.sum()),
                 failed=int((~(validity.contact_free & validity.inside)).sum()),
                 steps=float(trajectories.lengths.mean()),
@@ -216,21 +217,22 @@ def form_each(
     return results
 
 
-def distances_to_formed(run: Run, final: Float[np.ndarray, "episodes robots 2"]) -> Float[np.ndarray, " episodes"]:
-    """Returns the root mean square distance, in radii, of configurations from what a run's policy forms.
+def reached(run: Run, trajectories: Trajectories) -> Bool[np.ndarray, " episodes"]:
+    """Returns which swarms came to rest within `FORMED` radii of what a run's policy forms, as a root mean square.
 
-    It is that of the best superposition: moved, turned and relabelled, but neither scaled nor mirrored.
+    The distance is that of the best superposition: moved, turned and relabelled, but neither scaled nor mirrored.
 
     Args:
         run: A run whose last policy remembers formations.
-        final: Configurations, world units.
+        trajectories: Its episodes.
 
     Raises:
         InputError: The policy remembers no formations.
     """
     formed = np.asarray(_network(run).goals(), float)[..., 0]
-    apart = [distance(points, formed, scaling=False, reflection=False) for points in np.asarray(final, float)]
-    return np.array(apart) / run.experiment.world.radius
+    ends = np.asarray(trajectories.final, float)
+    apart = np.array([distance(points, formed, scaling=False, reflection=False) for points in ends])
+    return trajectories.at_rest & (apart <= FORMED * run.experiment.world.radius)
 
 
 def read_target(path: str | Path, robots: int) -> Float[np.ndarray, "robots 2"]:
@@ -240,7 +242,8 @@ def read_target(path: str | Path, robots: int) -> Float[np.ndarray, "robots 2"]:
         InputError: The table is unreadable, or is of another number of robots or of several starts.
     """
     formations = read_starts(path, robots)
-    check_number(f"{path}: formations", len(formations), 1, 1, integer=True)
+    if len(formations) != 1:
+        raise InputError(str(path), f"{len(formations)} starts", "one start, which is the formation")
     return formations[0]
 
 

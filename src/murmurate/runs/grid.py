@@ -7,11 +7,12 @@ grid is made: nothing is written until all of them are possible.
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import itertools
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -143,7 +144,14 @@ class Grid:
         return sum(products[1:], products[0])
 
     @classmethod
-    def from_flags(cls, config: ExperimentConfig, prefix: str, seeds: int, vary: Sequence[str]) -> Grid:
+    def from_flags(
+        cls,
+        config: ExperimentConfig,
+        prefix: str,
+        seeds: int,
+        vary: Sequence[str],
+        build: Callable[[Mapping[str, Any]], ExperimentConfig] | None = None,
+    ) -> Grid:
         """Returns seeds of one experiment, with every combination of values of fields.
 
         Args:
@@ -151,10 +159,12 @@ class Grid:
             prefix: What names of runs begin with.
             seeds: How many seeds.
             vary: Fields and their values, each as `FIELD=VALUE,...`.
+            build: Returns the experiment with fields replaced; by default `config` has them replaced.
 
         Raises:
             InputError: A field is unknown, or a value is not allowed.
         """
+        build = functools.partial(presets.resolve, config) if build is None else build
         check_number("--seeds", seeds, 1, MAX_RUNS, integer=True)
         if config.seed + seeds - 1 > prng.MAX_SEED:
             limit = prng.MAX_SEED - config.seed + 1
@@ -180,8 +190,7 @@ class Grid:
             name = run_name(prefix, f"seed{seed}", *labels)
             if name in runs:
                 raise InputError("--vary", vary, f"values that name different runs, not {name} twice")
-            changed = config_io.replaced(config, config_io.nested(values))
-            runs[name] = replace(changed, seed=seed)
+            runs[name] = replace(build(config_io.nested(values)), seed=seed)
         return cls(runs, tuple(axes))
 
     def check(self, out: str | Path, *, resume: bool = True, exclusive: bool = False) -> dict[str, FolderState]:

@@ -74,9 +74,9 @@ _REFINEMENT = GradientConfig(
 )
 
 # Each action is kept up for some steps while PPO learns: exploration then moves robots instead of jittering them,
-# without which most searches end with a robot stuck inside the ring (try --base.repeat 1). And exploration fades: left
-# to itself it stays, because noise frees a stuck robot, and the policy never learns to do so without it (try
-# --base.ppo.exploration learned).
+# without which most searches end with a robot stuck inside the ring (try --policy equivariant --base.repeat 1). And
+# exploration fades: left to itself it stays, because noise frees a stuck robot, and the policy never learns to do so
+# without it (try --base.ppo.exploration learned).
 _EQUIVARIANT = TrainingPreset(
     policy=EquivariantPolicy(hidden=(32, 16), whole_square=True),
     base=StageConfig(
@@ -203,6 +203,7 @@ def resolve(
     experiment: str | Path | ExperimentConfig,
     *overlays: Mapping[str, Any],
     learner: str | None = None,
+    default: str | None = None,
     folders: Sequence[Path] = (),
 ) -> ExperimentConfig:
     """Puts an experiment together.
@@ -211,9 +212,9 @@ def resolve(
         experiment: A to F, a problem of the package ("circle"; see `murmurate experiments`), a TOML file whose fields
             replace those of a scattered ten-robot experiment, or a configuration.
         *overlays: Fields to replace, as nested dictionaries; later ones win.
-        learner: The training preset; by default that of the policy. Where no policy is named either, it is formation
-            for A to F, and equivariant for a file and for what formation does not serve: signals of one's own and
-            several swarm sizes. A policy of one's own is trained by the numbers of equivariant.
+        learner: The training preset; by default that of the policy. A policy of one's own has that of equivariant.
+        default: The training preset where neither one nor a policy is named; by default formation for A to F, and
+            equivariant for a file and for what formation does not serve: signals of one's own and several swarm sizes.
         folders: Folders in which modules of "module:Class" are looked for, after that of the TOML file.
 
     Raises:
@@ -222,14 +223,16 @@ def resolve(
     """
     if isinstance(experiment, ExperimentConfig):
         importer = replace(make_importer({"modules": experiment.modules}), folders=tuple(folders))
-        return config_io.replaced(experiment, config_io.merged({}, *overlays), importer=importer)
+        config = config_io.replaced(experiment, config_io.merged({}, *overlays), importer=importer)
+        _check_used(config, experiment)
+        return config
     check_experiment(str(experiment))
     named = str(experiment) in EXPERIMENTS
     experiment = problem_file(str(experiment)) if experiment in PROBLEMS else experiment
     data = config_io.merged({} if named else read_toml(experiment), *overlays)
     importer = make_importer(data, None if named else Path(experiment).parent)
     importer = replace(importer, folders=(*importer.folders, *folders))
-    chosen = _learner_name(learner, data, named)
+    chosen = learner or _learner_name(data, named, default)
     objective = data.get("objective")
     if objective is not None:
         check_choice("objective", objective, tuple(OBJECTIVES))
@@ -245,7 +248,7 @@ def resolve(
     if objective == "custom":
         base = _weighing(base, data.get("signals"))
     config = config_io.replaced(base, data, importer=importer)
-    _check_used(config.base, base.base)
+    _check_used(config, base)
     return config
 
 
@@ -260,8 +263,8 @@ def command(config: ExperimentConfig) -> str:
     policy = config.policy.name
     arguments = ["murmurate", "discover", config.name, "--seed", str(config.seed)]
     problem = {"signals": config.signals, "sizes": config.sizes}
-    arguments += ["--policy", policy] if policy != _learner_name(None, problem, named=True) else []
-    learner = _learner_name(None, {"policy": policy}, named=True)
+    arguments += ["--policy", policy] if policy != _learner_name(problem, named=True) else []
+    learner = _learner_name({"policy": policy}, named=True)
     defaults = {leaf.path: leaf.value for leaf in config_io.leaves(preset(config.name, learner))}
     for leaf in config_io.leaves(config):
         is_given = leaf.path in ("seed", "policy.use") or leaf.path.startswith("modules.")
@@ -320,31 +323,30 @@ def _weighing(config: ExperimentConfig, signals: Any) -> ExperimentConfig:
     return replace(config, base=kept(config.base), auxiliary=kept(config.auxiliary))
 
 
-def _check_used(stage: StageConfig, numbers: StageConfig) -> None:
-    """Refuses numbers of PPO or of the search for goals where the preset trains by the other one.
+def _check_used(config: ExperimentConfig, usual: ExperimentConfig) -> None:
+    """Refuses numbers that no learner of the preset reads, rather than train without them.
 
     Who names a learner as well may keep the numbers of another: a file that refines a run goes over the run's own.
     """
-    if stage.learner != numbers.learner:
-        return
-    for learner in {"ppo", "goals"} - {stage.learner}:
-        usual = config_io.to_dict(getattr(numbers, learner))
-        for name, value in config_io.to_dict(getattr(stage, learner)).items():
-            if value != usual[name]:
-                others = [name for name, other in TRAINING_PRESETS.items() if other.base.learner == learner]
-                allowed = f"left out: base.learner is {stage.learner!r} here ({learner} is that of {', '.join(others)})"
-                raise InputError(f"base.{learner}.{name}", value, allowed)
+    before = {leaf.path: leaf.value for leaf in config_io.leaves(usual)}
+    for leaf in config_io.leaves(config):
+        section, _, name = leaf.path.partition(".")
+        if section not in ("base", "auxiliary") or leaf.value == before.get(leaf.path):
+            continue
+        stage = getattr(config, section)
+        if stage.learner == getattr(usual, section).learner and name.partition(".")[0] in stage.unread:
+            trained = " and ".join(stage.learners)
+            raise InputError(leaf.path, leaf.value, f"left out: {section} is trained by {trained} here, without it")
 
 
-def _learner_name(learner: str | None, data: Mapping[str, Any], named: bool) -> str:
-    """Returns the training preset that was asked for, by its name or by the policy, or else that of such a problem."""
-    if learner is not None:
-        return learner
+def _learner_name(data: Mapping[str, Any], named: bool, default: str | None = None) -> str:
+    """Returns the training preset of the policy that is asked for, or else the usual one of such a problem."""
     policy = data.get("policy")
     if isinstance(policy, Mapping):
         policy = policy.get(config_io.USE, policy.get(config_io.OLD_USE))
     use = policy.name if isinstance(policy, Policy) else policy
-    if isinstance(use, str) and use in TRAINING_PRESETS and use != "paper":
-        return use
-    is_usual = named and use is None and not data.get("signals") and not data.get("sizes")
-    return DEFAULT_LEARNER if is_usual else GENERAL_LEARNER
+    if use is not None:
+        known = isinstance(use, str) and use in TRAINING_PRESETS and use != "paper"
+        return use if known else GENERAL_LEARNER
+    is_usual = named and not data.get("signals") and not data.get("sizes")
+    return default or (DEFAULT_LEARNER if is_usual else GENERAL_LEARNER)

@@ -363,7 +363,7 @@ def redraw_overlaps_batch_last(
     key, draw = jax.random.split(key)
     positions = propose(draw)
     # In large batches of large swarms a redraw takes long, and nothing interrupts the loop.
-    turns = min(MAX_REDRAWS, max(MAX_REDRAW_PAIRS // (positions.size * len(positions)), 2 * MAX_PARTIAL_REDRAWS))
+    turns = min(MAX_REDRAWS, max(MAX_REDRAW_PAIRS // max(positions.size * len(positions), 1), 2 * MAX_PARTIAL_REDRAWS))
     carry = (key, positions, _touch_earlier(positions, radius), 0)
     return jax.lax.while_loop(pending, redraw, carry)[1]
 
