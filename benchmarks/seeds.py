@@ -7,14 +7,12 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import murmurate
 from murmurate import plots
 from murmurate.analysis import Catalogue, Finding, PatternClass, unmatched, upright
-from murmurate.analysis.optimum.formation import Target
-from murmurate.analysis.optimum.polish import polish
 from murmurate.analysis.optimum.search import Formation, OptimumConfig, annealed
 from murmurate.runs import table
 from murmurate.runs.execute import LocalProcesses, run_jobs
@@ -29,11 +27,11 @@ SEEDS = 16
 SEARCHED = "searches"
 """Folder of the searches, in that of the runs: they have the names of trainings."""
 
-SEARCHES, POLISHED = 1, 256
+ANNEALINGS, POLISHED = 1, 256
 """Annealings of each problem, and how many of the 256 chains of each are polished: all, poor local optima too."""
 
-STARTS, KEY = 5, 7
-"""From how many starts each pattern is formed, and their seed; training has other starts."""
+BEST, STARTS, KEY = 100, 5, 7
+"""How many patterns are formed, best first, from how many starts each, and their seed; training has other starts."""
 
 MAX_DRAWN = 14
 
@@ -47,19 +45,17 @@ class Study:
         searched: How many formations the searches of all seeds began with.
         catalogue: The valid patterns among them, in classes.
         annealed: What annealing found: valid patterns, in classes too.
-        unseen: Classes of the searches that annealing never found.
-        tightened: Those of them, polished, that annealing did not find either.
-        missed: Classes of the annealing that no search found.
-        formed: How a swarm forms each class of the searches.
+        never_annealed: Classes of the searches that annealing never found.
+        never_found: Classes of the annealing that no search found.
+        formed: How a swarm forms the best classes of the searches.
     """
 
     experiment: str
     searched: int
     catalogue: Catalogue
     annealed: Catalogue
-    unseen: tuple[PatternClass, ...]
-    tightened: tuple[PatternClass, ...]
-    missed: tuple[PatternClass, ...]
+    never_annealed: tuple[PatternClass, ...]
+    never_found: tuple[PatternClass, ...]
     formed: tuple[Formed, ...]
 
 
@@ -74,36 +70,28 @@ def trained(experiment: str) -> Grid:
 
 
 def study(experiment: str, seeds: int, runs: Path) -> Study:
-    """Sorts what the searches of one experiment found, anneals the same problem, compares, and forms each pattern."""
+    """Sorts what the searches of one experiment found, compares it with annealing, and forms the best patterns."""
     found = [murmurate.load(runs / SEARCHED / name) for name in searches(experiment, seeds).runs]
     searched = sum(run.cascade.policies[-1].goals().shape[-1] for run in found)
     discovered = Catalogue.from_findings([finding for run in found for finding in run.remembered().findings])
     reference = Catalogue.from_findings(anneal(experiment))
-    ends = [finding.positions for finding in reference.findings]
-    unseen = unmatched(discovered, ends)
-    tight = [finding for pattern in unseen if (finding := _polished(experiment, pattern)) is not None]
-    tightened = unmatched(Catalogue.from_findings(tight), ends) if tight else ()
-    missed = unmatched(reference, [finding.positions for finding in discovered.findings])
+    never_annealed = unmatched(discovered, [finding.positions for finding in reference.findings])
+    never_found = unmatched(reference, [finding.positions for finding in discovered.findings])
     (name,) = trained(experiment).runs
-    formed = form_each(murmurate.load(runs / name), discovered.classes, STARTS, KEY)
-    return Study(experiment, searched, discovered, reference, unseen, tightened, missed, tuple(formed))
-
-
-def _polished(experiment: str, pattern: PatternClass) -> Finding | None:
-    """Returns the local optimum next to a class's representative; None where that is no valid pattern."""
-    config, best = preset(experiment), pattern.representative
-    target = Target(config.world, config.objective)
-    positions = polish(best.positions, target)
-    return replace(best, positions=positions, value=target.value(positions)) if target.is_valid(positions) else None
+    formed = form_each(murmurate.load(runs / name), discovered.classes[:BEST], STARTS, KEY)
+    print(experiment, len(discovered.classes), len(reference.classes), len(never_found), flush=True)
+    return Study(experiment, searched, discovered, reference, never_annealed, never_found, tuple(formed))
 
 
 def anneal(experiment: str) -> list[Finding]:
     """Returns the valid patterns that annealing ends in."""
     config = preset(experiment)
-    searches = [OptimumConfig(config.world, config.objective, polished=POLISHED, seed=seed) for seed in range(SEARCHES)]
+    annealings = [
+        OptimumConfig(config.world, config.objective, polished=POLISHED, seed=seed) for seed in range(ANNEALINGS)
+    ]
     ends = [
         (search, index, formation)
-        for search in searches
+        for search in annealings
         for index, formation in enumerate(annealed(search))
         if formation.valid
     ]
@@ -131,7 +119,7 @@ def _finding(experiment: str, search: OptimumConfig, index: int, formation: Form
 
 HEADER = (
     *("", "robots", "objective", "searched", "valid", "best gap", "distinct", "in several searches"),
-    *("annealed", "of these found", "never annealed", "polished too", "formed", "contact or exit"),
+    *("annealed", "of these found", "never annealed", "formed", "contact or exit"),
 )
 
 
@@ -142,7 +130,7 @@ def row(result: Study) -> tuple[str, ...]:
     several = [pattern for pattern in classes if len(pattern.seeds) > 1]
     annealed = len(result.annealed.classes)
     counts = (len(findings), f"{100 * min(gaps):.3f}%", len(classes), len(several))
-    compared = (annealed, annealed - len(result.missed), len(result.unseen), len(result.tightened))
+    compared = (annealed, annealed - len(result.never_found), len(result.never_annealed))
     episodes = sum(each.episodes for each in result.formed)
     formed = f"{sum(each.formed for each in result.formed):,} of {episodes:,}"
     return (
@@ -185,10 +173,9 @@ turning, relabelling, mirroring and scaling, within 0.125 root mean square radii
   under the exact constraints (`murmurate optimum` without its rings; many chains end in no valid pattern). *Of these
   found* are the classes whose representative matches a formation of the searches.
 - *Never annealed* are the classes of the searches whose representative matches none of these ends.
-- *Polished too*: where a search ends need not be a local optimum. So the representatives that annealing never found are
-  polished as well; this counts those that still match nothing annealed.
-- *Formed*: one policy, that of the training with seed 0, is told each of the distinct patterns, and forms it from
-  {starts} fresh starts of the experiment: the episodes that end within 0.1 R of it, as a root mean square.
+- *Formed*: one policy, that of the training with seed 0, is told the best {best} of the distinct patterns, one after
+  the other, and forms each from {starts} fresh starts of the experiment: the episodes in which the swarm comes to rest
+  within 0.1 R of it, as a root mean square.
 
 {table}
 {plates}"""
@@ -228,8 +215,9 @@ def write(studies: Sequence[Study], seeds: int, out: Path) -> None:
     text = PAGE.format(
         seeds=seeds,
         command="`make seeds`" if seeds == SEEDS else f"`python -m benchmarks.seeds --seeds {seeds}`",
+        best=BEST,
         starts=STARTS,
-        ends=SEARCHES * POLISHED,
+        ends=ANNEALINGS * POLISHED,
         table=table.as_markdown(HEADER, [row(result) for result in studies]),
         plates="\n".join(plates),
     )

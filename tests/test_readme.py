@@ -42,15 +42,16 @@ def test_numbers_are_ranges_over_the_seeds_of_the_results() -> None:
     results = table((README.parent / "docs" / "results.md").read_text(encoding="utf-8"), "seed")
     rows = table(README.read_text(encoding="utf-8"), "robots")
     assert [row[""] for row in rows] == [*"ABCDEF"]
-    columns = {"valid of 200": "valid", "steps": "total steps", "bound": "bound", "gap": "gap"}
+    columns = {"valid of 200": "valid", "steps": "total steps", "bound": "bound", "steps / bound": "total / bound"}
+    columns |= {"gap": "gap", "training": "training"}
     for row in rows:
         seeds = [result for result in results if result[""] == row[""]]
         assert len(seeds) >= 2
         assert [result["seed"] for result in seeds] == [str(seed) for seed in range(len(seeds))]
         for name, column in columns.items():
-            least, *_, most = sorted((result[column].removesuffix("%") for result in seeds), key=float)
+            least, *_, most = sorted((re.sub(r"%| s$", "", result[column]) for result in seeds), key=float)
             expected = least if least == most else f"{least}-{most}"
-            assert row[name].removesuffix("%") == expected, f"{row['']}: {name}"
+            assert re.sub(r"%| s$", "", row[name]) == expected, f"{row['']}: {name}"
         assert {result["paper's total"] for result in seeds} == {row["paper's steps"]}
 
 
