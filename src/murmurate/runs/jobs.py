@@ -198,7 +198,7 @@ def _training_progress(folder: Path, config: ExperimentConfig) -> Progress | Non
     stage = policy_name(policy) + (f" {policy}" if policy > 1 else "") + (", refined" if phase else "")
     if run.is_trained():
         stage = "evaluation"
-    return Progress(stage, last["update"], updates, last["reward"], speed, left)
+    return Progress(stage, last["update"], updates, last["reward"], speed or None, left)
 
 
 def training_jobs(

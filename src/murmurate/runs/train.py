@@ -373,7 +373,8 @@ def _report(
     policy, phase, done = before[behind].progress
     if rows:
         done = rows[behind]["update"]
-        values["steps_per_second"] = statistics.fmean(row["steps_per_second"] for row in rows)
+        speed = statistics.fmean(row["steps_per_second"] for row in rows)
+        values |= {"steps_per_second": speed} if speed else {}  # a search for goals takes no steps
         values["reward"] = statistics.fmean(row["reward"] for row in rows)
         visible = [row["signals"]["visible"] for row in rows if "visible" in row["signals"]]
         values |= {"visible": statistics.fmean(visible)} if visible else {}
