@@ -161,7 +161,7 @@ def test_whose_numbers_a_problem_has_where_nobody_says(tmp_path):
     assert presets.resolve("C", learner="equivariant") == presets.preset("C", "equivariant")
 
 
-def test_numbers_of_a_learner_that_does_not_train_are_refused():
+def test_numbers_of_a_learner_that_does_not_train_are_refused(tmp_path):
     for policy, learners, path, value in (
         ("formation", "goals and gradients", "base.ppo.updates", 10),
         ("formation", "goals and gradients", "base.repeat", 4),
@@ -178,6 +178,9 @@ def test_numbers_of_a_learner_that_does_not_train_are_refused():
             presets.resolve("A", *given)
         with pytest.raises(InputError, match=line):
             presets.resolve(presets.preset("A", policy), config_io.nested({path: value}))
+        path_of_file = tmp_path / "my.toml"
+        path_of_file.write_text(config_io.dump_toml(presets.resolve("A", learner="paper")))
+        assert presets.resolve(path_of_file, *given).policy.name == policy, "a file has the numbers of all learners"
         chosen = {section: {"learner": "gradients" if learners[0] != "g" or section == "base" else "ppo"}}
         assert presets.resolve("A", *given, chosen).policy.name == policy
 

@@ -248,7 +248,8 @@ def resolve(
     if objective == "custom":
         base = _weighing(base, data.get("signals"))
     config = config_io.replaced(base, data, importer=importer)
-    _check_used(config, base)
+    if named:  # a file may hold the numbers of every learner, whichever policy it is used with
+        _check_used(config, base)
     return config
 
 
