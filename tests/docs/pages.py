@@ -21,6 +21,7 @@ from murmurate.cli.sweep import _parser
 from murmurate.discovery import check_parts
 from murmurate.runs import presets
 from murmurate.runs.grid import Grid
+from murmurate.runs.paper import EXPERIMENTS
 from murmurate.runs.problems import PROBLEMS
 
 ROOT = Path(__file__).parents[2]
@@ -31,9 +32,11 @@ WRITTEN_BY_PROGRAMS |= {page for page in PAGES if page.startswith("comparison/")
 BY_HAND = [page for page in PAGES if page not in WRITTEN_BY_PROGRAMS]
 
 _NUMBERS = "--{0}.updates 2 --{0}.steps 4 --{0}.worlds 8 --{0}.minibatches 2"
-_LEARNERS = [f"{stage}.{learner}" for stage in ("base", "auxiliary") for learner in ("ppo", "gradients")]
-TINY = " ".join(map(_NUMBERS.format, _LEARNERS)).split()
-TINY += [
+# A file may have the numbers of every learner, and A to F only those of their own.
+_LEARNERS = {"central": ["base.ppo", "auxiliary.ppo"], "formation": ["base.gradients"]}
+_LEARNERS |= {name: ["base.ppo", "base.gradients", "auxiliary.gradients"] for name in ("equivariant", "local")}
+_ALL_LEARNERS = sorted({learner for learners in _LEARNERS.values() for learner in learners})
+TINY = [
     "--discovery.sigma",
     "8",
     "--discovery.episodes",
@@ -123,6 +126,10 @@ class Reader:
         small: list[str] = []
         if arguments[0] == "discover":
             small = [*TINY, *self.small_policy(arguments)]
+            words = [*arguments, *small]
+            chosen = words[words.index("--policy") + 1] if "--policy" in words else "formation"
+            learners = _LEARNERS[chosen] if arguments[1] in EXPERIMENTS else _ALL_LEARNERS
+            small += " ".join(map(_NUMBERS.format, learners)).split()
         elif arguments[0] == "evaluate" and not any(word.endswith(".csv") for word in arguments):
             small = ["--episodes", "8"]
         elif arguments[0] == "show" and "--robots" in arguments:
@@ -143,9 +150,9 @@ class Reader:
         hidden = ["--policy.hidden", "8,8"]
         if arguments[1] in PROBLEMS:  # policies for swarms of any size
             return [*hidden, "--sizes", "4", "--discovery.max_policies", "1"]
-        if "formation" in arguments or "--diverse" in arguments:
+        if "formation" in arguments or "--diverse" in arguments or self.page == "formations.md":
             # A swarm of three has one pattern, and pages form the second.
-            return [*hidden, "--world.robots", "6"]
+            return [*hidden, "--world.robots", "6", "--policy.formations", "16", "--base.goals.updates", "1200"]
         if "--policy" in arguments:
             return [*hidden, "--world.robots", "3"]
         files = [self.folder / word for word in arguments if word.endswith(".toml")]
