@@ -33,7 +33,7 @@ BY_HAND = [page for page in PAGES if page not in WRITTEN_BY_PROGRAMS]
 
 _NUMBERS = "--{0}.updates 2 --{0}.steps 4 --{0}.worlds 8 --{0}.minibatches 2"
 # A file may have the numbers of every learner, and A to F only those of their own.
-_LEARNERS = {"central": ["base.ppo", "auxiliary.ppo"], "formation": ["base.gradients"]}
+_LEARNERS = {"central": ["base.ppo", "auxiliary.ppo"], "formation": ["base.gradients", "auxiliary.gradients"]}
 _LEARNERS |= {name: ["base.ppo", "base.gradients", "auxiliary.gradients"] for name in ("equivariant", "local")}
 _ALL_LEARNERS = sorted({learner for learners in _LEARNERS.values() for learner in learners})
 TINY = [
