@@ -16,11 +16,12 @@ from scipy.optimize import linear_sum_assignment
 from murmurate import prng
 from murmurate.discovery import build_cascade
 from murmurate.discovery.search import Search
+from murmurate.discovery.stage import _score
 from murmurate.errors import InputError
+from murmurate.geometry.assignment import assignment
 from murmurate.geometry.rings import smallest_ring
 from murmurate.geometry.similarity import align
 from murmurate.policies import FormationPolicy
-from murmurate.policies.assignment import assignment
 from murmurate.policies.formation import SCALE_MARGIN, WALL_DISTANCE, ArrivalReward, places_of
 from murmurate.runs.presets import preset, resolve
 from murmurate.world import UniformStart, World, WorldConfig
@@ -79,7 +80,7 @@ def test_an_assignment_of_what_is_not_finite_comes_to_an_end():
 def test_places_are_the_formation_turned_and_moved(robots, seed, turn):
     world = WorldConfig(robots=robots, half_width=400.0, half_height=400.0, scan_radius=800.0)
     formation, swarms = points(robots, seed=seed), points(robots, 5, seed + 1, spread=30.0)
-    places = np.asarray(places_of(swarms, formation, world, landmark=False))
+    places = np.asarray(places_of(swarms, formation, world, "moved"))
     for index in range(5):
         match = align(places[..., index], np.asarray(formation, float), scaling=False, reflection=False)
         assert match.distance < 1e-3
@@ -87,7 +88,7 @@ def test_places_are_the_formation_turned_and_moved(robots, seed, turn):
     # A swarm that is turned gets turned places: both are as far.
     cos, sin = math.cos(turn), math.sin(turn)
     turned = jnp.einsum("ab,rbk->rak", jnp.asarray([[cos, -sin], [sin, cos]]), swarms)
-    again = np.asarray(places_of(turned, formation, world, landmark=False))
+    again = np.asarray(places_of(turned, formation, world, "moved"))
     before, after = (np.sqrt(((a - b) ** 2).sum(axis=(0, 1))) for a, b in ((places, swarms), (again, turned)))
     assert after == pytest.approx(before, rel=0.1, abs=1e-2)
 
@@ -95,7 +96,7 @@ def test_places_are_the_formation_turned_and_moved(robots, seed, turn):
 def test_places_are_almost_always_the_nearest_by_the_exact_distance_of_patterns():
     formation, swarms = points(8, seed=3), points(8, 200, 4, spread=25.0)
     world = WorldConfig(robots=8, half_width=400.0, half_height=400.0, scan_radius=800.0)
-    places = np.asarray(places_of(swarms, formation, world, landmark=False))
+    places = np.asarray(places_of(swarms, formation, world, "moved"))
     have = np.sqrt(((places - np.asarray(swarms)) ** 2).sum(axis=1).mean(axis=0))
     exact = [
         align(np.asarray(swarms[..., k], float), np.asarray(formation, float), scaling=False, reflection=False).distance
@@ -108,22 +109,22 @@ def test_places_are_almost_always_the_nearest_by_the_exact_distance_of_patterns(
 def test_robots_that_go_straight_keep_their_places():
     formation, swarms = points(7, seed=5), points(7, 40, 6, spread=30.0)
     world = WorldConfig(robots=7, half_width=400.0, half_height=400.0, scan_radius=800.0)
-    places = places_of(swarms, formation, world, landmark=True)
+    places = places_of(swarms, formation, world, "turned")
     for share in (0.1, 0.5, 0.9, 1.0):
-        again = places_of(swarms + share * (places - swarms), formation, world, landmark=True)
+        again = places_of(swarms + share * (places - swarms), formation, world, "turned")
         assert np.abs(np.asarray(again - places)).max() < 1e-2
 
 
 def test_with_a_gathering_point_a_formation_is_turned_around_it_alone():
     formation = jnp.asarray(smallest_ring(6, 1.0, 5.0).positions, jnp.float32)
-    places = np.asarray(places_of(points(6, 9, 1) + 15.0, formation, WORLD, landmark=True))
+    places = np.asarray(places_of(points(6, 9, 1) + 15.0, formation, WORLD, "turned"))
     assert np.linalg.norm(places, axis=1) == pytest.approx(float(jnp.linalg.norm(formation[0])), rel=1e-5)
 
 
 def test_places_stay_inside_the_world():
     formation = jnp.asarray(smallest_ring(6, 1.0, 5.0).positions, jnp.float32)
     corner = jnp.asarray(WORLD.bounds)[None, :, None] - 1.0 - jnp.abs(points(6, 9, 2, spread=2.0))
-    places = np.asarray(places_of(corner, formation, WORLD, landmark=False))
+    places = np.asarray(places_of(corner, formation, WORLD, "moved"))
     assert (np.abs(places) <= np.asarray(WORLD.bounds)[:, None] - WALL_DISTANCE + 1e-4).all()
     for index in range(9):
         assert align(places[..., index], np.asarray(formation, float), scaling=False).distance < 1e-3
@@ -135,7 +136,7 @@ def test_places_stay_inside_the_world():
 def test_a_swarm_goes_straight_and_arrives_together():
     formation = smallest_ring(6, 1.0, 5.0).positions
     policy, swarm = network(formation), points(6, 3, 8, spread=20.0)
-    places = places_of(swarm, jnp.asarray(formation, jnp.float32), WORLD, landmark=False)
+    places = places_of(swarm, jnp.asarray(formation, jnp.float32), WORLD, "moved")
     farthest = np.abs(np.asarray(places - swarm)).max(axis=(0, 1))
     moves = np.asarray(policy(swarm))
     assert np.abs(moves).max(axis=(0, 1)) == pytest.approx(WORLD.max_speed, rel=1e-4)
@@ -221,9 +222,9 @@ def searched():
 
 
 def test_the_search_finds_a_valid_pattern_without_a_step_of_the_world(searched):
-    search, snapshot = searched
+    _, snapshot = searched
     goals = np.moveaxis(np.asarray(snapshot.unrefined.goals(), float), -1, 0)
-    worth = search.stage(search.begin())._score(goals)
+    worth = _score(small(), goals)
     assert np.isfinite(worth[0])
     assert worth[0] == worth.max()
 
@@ -243,12 +244,12 @@ def test_refinement_moves_weights_and_leaves_formations(searched):
 def test_the_cost_of_a_step_is_how_far_the_formation_is():
     formation = smallest_ring(6, 1.0, 5.0).positions
     env = World.create(WORLD, UniformStart(), "C2")
-    env = ArrivalReward(env, jnp.asarray(formation, jnp.float32), False, dict(env.objective.signals))
+    env = ArrivalReward(env, jnp.asarray(formation, jnp.float32), "moved", dict(env.objective.signals))
     there = jnp.asarray(formation, jnp.float32)[..., None]
     far = there.at[0].add(jnp.asarray([[12.0], [0.0]]))
     for swarm, nothing in ((there, jnp.zeros((6, 2, 1))), (far, jnp.zeros((6, 2, 1)))):
         _, transition = env.step(env.state(swarm), nothing)
-        places = np.asarray(places_of(swarm, jnp.asarray(formation, jnp.float32), WORLD, False), float)
+        places = np.asarray(places_of(swarm, jnp.asarray(formation, jnp.float32), WORLD, "moved"), float)
         apart = np.linalg.norm(places - np.asarray(swarm, float), axis=1) / WORLD.max_speed
         assert float(transition.reward[0]) == pytest.approx(-(apart.max() + apart.mean()) / 2, abs=2e-3)
         assert np.asarray(transition.credit) == pytest.approx(np.asarray(transition.reward)[None])
@@ -276,7 +277,7 @@ def test_a_swarm_forms_what_its_policy_remembers_from_a_start_elsewhere():
         ({"base": {"goals": {"rate": 0.0}}}, "base.goals.rate"),
         ({"base": {"goals": {"softness": 0.0}}}, "base.goals.softness"),
         ({"base": {"goals": {"weights": {"smooth_visible": -1.0}}}}, "base.goals.weights.smooth_visible"),
-        ({"sizes": [4, 6]}, "policy.use"),
+        ({"sizes": [4, 8], "start": {"use": "random"}}, r"world\.robots = 6: must be one of sizes \(4, 8\)"),
     ],
 )
 def test_what_cannot_be_is_refused_by_its_field(overlay, words):

@@ -21,6 +21,7 @@ from murmurate.errors import InputError, RunError
 from murmurate.geometry import smallest_ring
 from murmurate.geometry.similarity import distance
 from murmurate.runs import formations, presets
+from murmurate.world import FileStart
 
 
 @pytest.fixture(scope="module")
@@ -96,14 +97,16 @@ def test_a_formation_is_inside_the_world_however_it_is_turned(run):
     assert run.forming(corners / np.sqrt(2)).rollout(2, key=1).at_rest.all()
 
 
-def test_numbers_and_formations_that_cannot_be_formed_are_refused(run):
+def test_numbers_and_formations_that_cannot_be_formed_are_refused(run, tmp_path):
     count = len(run.remembered().classes)
     for number in (0, count + 1, True, 1.5, "2"):
         with pytest.raises(InputError, match=rf"pattern = .*a number from 1 to {count}"):
             run.forming(number)
     ring = smallest_ring(6, 0.4, 2.8).positions
-    with pytest.raises(InputError, match="formation = '5 robots': must be of 6"):
-        run.forming(ring[:5])
+    (tmp_path / "starts.csv").write_text("start,x,y\n" + "".join(f"0,{x},{y}\n" for x, y in 1.1 * ring))
+    given = run.under(replace(run.experiment, start=FileStart(file=str(tmp_path / "starts.csv"))))
+    with pytest.raises(InputError, match="formation = '5 robots': must be of 6, as the start has"):
+        given.forming(ring[:5])
     with pytest.raises(InputError, match=r"two robots 2\.52 apart.*safe_distance = 2\.8"):
         run.forming(0.9 * ring)
     with pytest.raises(InputError, match=r"must be at most 35, so that it is inside"):

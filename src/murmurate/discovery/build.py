@@ -81,7 +81,7 @@ def build_environment(problem: Problem, world: World, perceived: WorldConfig | N
 def build_networks(problem: Problem, key: PRNGKeyArray) -> tuple[Any, Any]:
     """Builds fresh policy and value networks."""
     check_problem(problem)
-    networks = _networks(problem.policy, problem.world, problem.landmark, key)
+    networks = _networks(problem.policy, problem.world, problem.landmark, problem.sizes, key)
     # An array made of a Python number is weakly typed: training would compile once more at its second chunk.
     return jax.tree.map(lambda x: jnp.asarray(x, x.dtype) if eqx.is_array(x) else x, networks)
 
@@ -104,7 +104,7 @@ def policy_templates(problem: Problem, count: int) -> tuple[Any, ...]:
     """Returns `count` policy networks without numbers, to load weights into."""
     check_problem(problem)
     key = jax.eval_shape(lambda: prng.key(0))
-    template, _ = eqx.filter_eval_shape(_networks, problem.policy, problem.world, problem.landmark, key)
+    template, _ = eqx.filter_eval_shape(_networks, problem.policy, problem.world, problem.landmark, problem.sizes, key)
     return (template,) * count
 
 
@@ -169,6 +169,9 @@ def _check_gradients(problem: Problem, index: int, learner: str, world: World) -
     positions = jnp.concatenate([drawn * jnp.asarray(stretch)[:, None] for stretch in STRETCHES], axis=-1)
     signals, weights = problem.refinement(index, learner)
     section = f"{'base' if index == 0 else 'auxiliary'}.{learner}.weights"
+    if LEARNERS[learner].searches_goals and not any(weights[name] for name in weights if name != "smooth_safety"):
+        allowed = f"weights of signals with gradients, by which goals are searched (yours, {', '.join(SMOOTH_SIGNALS)})"
+        raise InputError(section, weights, allowed)
     for name, signal in signals.items():
 
         def measure(positions: Array, signal: Signal = signal) -> Array:
@@ -278,5 +281,10 @@ def _check(
 
 
 @eqx.filter_jit
-def _networks(policy: Any, world: WorldConfig, landmark: bool, key: PRNGKeyArray) -> tuple[Any, Any]:
-    return policy.networks(world, landmark, key)
+def _networks(
+    policy: Any, world: WorldConfig, landmark: bool, sizes: tuple[int, ...], key: PRNGKeyArray
+) -> tuple[Any, Any]:
+    network, value = policy.networks(world, landmark, key)
+    if policy.has_goals and sizes:
+        network = network.with_sizes(sizes, jax.random.fold_in(key, len(sizes)))
+    return network, value

@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from murmurate.discovery.problem import Problem, check_problem
+from murmurate.learning import LEARNERS
 from murmurate.representation import short_repr
 
 __all__ = ["Curriculum"]
@@ -44,6 +45,8 @@ class Curriculum:
             base = part.base
             for phase, learner in enumerate(base.learners):
                 numbers = base.learning(phase)
+                if not numbers.worlds:  # no episode is taken
+                    continue
                 worlds = max(round(ratio * numbers.worlds / numbers.minibatches), 1) * numbers.minibatches
                 base = replace(base, **{learner: replace(numbers, worlds=worlds)})
             episodes = math.ceil(config.episodes / len(problem.sizes))
@@ -56,8 +59,9 @@ class Curriculum:
         return int(np.random.default_rng((self.problem.seed, number)).permutation(len(self.parts))[offset])
 
     def chunk(self, index: int, phase: int, update: int) -> int:
-        """Returns how many updates of a policy run next without visiting the host: all are of one part."""
-        if self.problem.sizes:
+        """Returns how many updates of a policy run next without visiting the host: all of one part, or each of all."""
+        learner = LEARNERS[self.problem.stage(index).learners[phase]]
+        if self.problem.sizes and not learner.searches_goals:
             return 1
         return min(self.problem.discovery.chunk, self.problem.stage(index).learning(phase).updates - update)
 

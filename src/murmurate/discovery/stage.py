@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -22,6 +23,7 @@ from murmurate.world import (
     ActionRepeat,
     Configuration,
     GoalValue,
+    GoalValues,
     HardStart,
     JitteredStart,
     MixtureStart,
@@ -197,43 +199,48 @@ class Stage:
     def next_chunk(self, train: TrainState) -> Chunk:
         """Returns the updates to run next."""
         update = int(train.update)
-        part_index = self.curriculum.turn(update)
+        part_index, policy = self._turn(update), train.policy
         numbers, learner = self.curriculum.parts[part_index].stage(self.index).learning(self.phase), self._learner
         train = eqx.tree_at(lambda t: t.env_state, train, train.env_state[part_index])
         updates = self.curriculum.chunk(self.index, self.phase, update)
         hyper, shape = learner.hyperparameters(numbers), learner.shape(numbers)
-        return Chunk(train, self.environment(part_index, train.policy), hyper, shape, updates, learner.train_chunk)
+        env: Any = self.environment(part_index, policy)
+        if learner.searches_goals:
+            parts = range(len(self.curriculum.parts))
+            env = GoalValues(tuple(self.environment(part, policy) for part in parts))
+        return Chunk(train, env, hyper, shape, updates, learner.train_chunk)
 
     def after_chunk(
         self, before: TrainState, trained: TrainState, metrics: dict[str, Any]
     ) -> tuple[TrainState, list[dict[str, Any]]]:
         """Returns the state of the training after a chunk of updates, and a row of metrics for each update."""
-        part_index, done = self.curriculum.turn(int(before.update)), int(trained.update)
+        part_index, done = self._turn(int(before.update)), int(trained.update)
         states = (*before.env_state[:part_index], trained.env_state, *before.env_state[part_index + 1 :])
         trained = eqx.tree_at(lambda t: t.env_state, trained, states)
         metrics = jax.device_get(metrics)
         count, robots = len(metrics["reward"]), self.curriculum.parts[part_index].world.robots
         earlier, rows = self.curriculum.policy_steps(self.index, self.phase), []
         place = {"policy": self.index, "name": policy_name(self.index), "learner": self.config.learners[self.phase]}
+        # A search of goals is of all sizes at once.
+        size = {} if self._learner.searches_goals and len(self.curriculum.parts) > 1 else {"robots": robots}
         for number in range(count):
             update = done - count + number + 1
             values = jax.tree.map(lambda x, number=number: float(x[number]), metrics)
             steps = earlier + self.curriculum.steps(self.index, self.phase, update)
-            rows.append({**place, "update": update, **values, "policy_steps": steps, "robots": robots})
+            rows.append({**place, "update": update, **values, "policy_steps": steps, **size})
         return trained, rows
 
     def result(self, train: TrainState) -> Any:
         """Returns the policy network that the training has come to, its best goal first where it has searched goals."""
         policy = train.result
-        return policy.scaled_and_sorted(self._score) if self._learner.searches_goals else policy
+        if self._learner.searches_goals:
+            for part in self.curriculum.parts:
+                policy = policy.scaled_and_sorted(partial(_score, part), part.world.robots)
+        return policy
 
-    def _score(self, formations: Float[np.ndarray, "formations robots 2"]) -> Float[np.ndarray, " formations"]:
-        """Returns the objective of formations in float64; -inf for one that is no valid pattern at rest."""
-        problem = self.curriculum.problem
-        valid = is_valid_pattern(formations, problem.world, problem.thresholds)
-        objective = Objective(problem.objective_signals)
-        configuration = Configuration(np.moveaxis(formations.astype(float), 0, -1), problem.world)
-        return np.where(valid, objective(objective.measure(configuration)), -np.inf)
+    def _turn(self, update: int) -> int:
+        """Returns the place of the part whose episodes an update takes. A search for goals takes none: any will do."""
+        return 0 if self._learner.searches_goals else self.curriculum.turn(update)
 
     @property
     def is_last_phase(self) -> bool:
@@ -259,6 +266,14 @@ class Stage:
         step = state.unwrapped.step
         ages = jax.random.randint(clock, step.shape, 0, stage.horizon, step.dtype)
         return eqx.tree_at(lambda s: s.unwrapped.step, state, ages)
+
+
+def _score(problem: Problem, formations: Float[np.ndarray, "formations robots 2"]) -> Float[np.ndarray, " formations"]:
+    """Returns the objective of formations in float64; -inf for one that is no valid pattern at rest."""
+    valid = is_valid_pattern(formations, problem.world, problem.thresholds)
+    objective = Objective(problem.objective_signals)
+    configuration = Configuration(np.moveaxis(formations.astype(float), 0, -1), problem.world)
+    return np.where(valid, objective(objective.measure(configuration)), -np.inf)
 
 
 # Outside of a jit, the loop that redraws overlaps would be compiled anew at every call.

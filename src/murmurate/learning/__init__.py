@@ -16,7 +16,7 @@ from murmurate.learning.environment import (
     features_of,
     step_with_autoreset,
 )
-from murmurate.learning.goals import GoalConfig, GoalEnvironment, GoalHyperparameters, GoalPolicy
+from murmurate.learning.goals import GoalConfig, GoalEnvironment, GoalHyperparameters
 from murmurate.learning.gradients import GradientConfig, GradientHyperparameters, Segment
 from murmurate.learning.learners import LEARNERS, Learner, LearnerConfig
 from murmurate.learning.losses import Batch, policy_loss, value_loss
@@ -33,7 +33,6 @@ __all__ = [
     "GoalConfig",
     "GoalEnvironment",
     "GoalHyperparameters",
-    "GoalPolicy",
     "GradientConfig",
     "GradientHyperparameters",
     "Hyperparameters",

@@ -24,7 +24,7 @@ from murmurate.learning.config import MAX_RATE
 from murmurate.learning.ppo import TrainState, all_finite, descend, init, scan_state
 from murmurate.representation import short_repr
 
-__all__ = ["GoalConfig", "GoalEnvironment", "GoalHyperparameters", "GoalPolicy", "train_chunk"]
+__all__ = ["GoalConfig", "GoalEnvironment", "GoalHyperparameters", "train_chunk"]
 
 
 @dataclass(frozen=True)
@@ -82,20 +82,11 @@ class GoalConfig:
 
 
 @runtime_checkable
-class GoalPolicy(Protocol):
-    """A policy network that steers to goals of its own."""
-
-    def goals(self) -> Any:
-        """Returns the goals, differentiable by the policy's arrays; their number is the last axis."""
-        ...
-
-
-@runtime_checkable
 class GoalEnvironment(Protocol):
-    """An environment that says what a goal is worth."""
+    """An environment that says what the goals of a policy network are worth."""
 
-    def goal_value(self, goals: Any, progress: Float[Array, ""]) -> tuple[Float[Array, " goals"], dict[str, Any]]:
-        """Returns what goals are worth at a share of the training, and quantities by name for the metrics."""
+    def goal_value(self, policy: Any, progress: Float[Array, ""]) -> tuple[Float[Array, " goals"], dict[str, Any]]:
+        """Returns what all goals are worth at a share of the training, and quantities by name for the metrics."""
         ...
 
 
@@ -150,8 +141,8 @@ def train_chunk(
     def step(state: TrainState, _: None) -> tuple[TrainState, dict[str, Any]]:
         progress = state.update.astype(jnp.float32) / jnp.maximum(hyper.updates - 1, 1).astype(jnp.float32)
 
-        def loss(policy: GoalPolicy) -> tuple[Float[Array, ""], Any]:
-            values, quantities = env.goal_value(policy.goals(), progress)
+        def loss(policy: Any) -> tuple[Float[Array, ""], Any]:
+            values, quantities = env.goal_value(policy, progress)
             return -jnp.sum(values), (values, quantities)
 
         (total, (values, quantities)), gradient = eqx.filter_value_and_grad(loss, has_aux=True)(state.policy)

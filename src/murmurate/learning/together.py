@@ -13,6 +13,7 @@ import numpy as np
 
 from murmurate.learning import sharding
 from murmurate.learning.environment import Environment
+from murmurate.learning.goals import GoalEnvironment
 from murmurate.learning.ppo import TrainState, train_chunk
 from murmurate.representation import short_repr
 
@@ -33,7 +34,7 @@ class Chunk:
     """
 
     state: TrainState
-    env: Environment
+    env: Environment | GoalEnvironment
     hyper: Any
     shape: Hashable
     updates: int

@@ -34,9 +34,10 @@ class Policy(Strategy):
 
     - `perceives`: robots act on an `Observation`, each on its own view alone, instead of on all positions.
     - `any_size`: the same weights act in swarms of any size.
-    - `has_goals`: the policy network steers to goals of its own, which the learner `goals` searches. It has two more
-      methods: `goals()` returns them, `(robots, 2, goals)`, and `scaled_and_sorted(score)` returns the network with its
-      best goal first; see `FormationNetwork`.
+    - `has_goals`: the policy network steers to goals of its own, which the learner `goals` searches, in swarms of the
+      sizes that it has goals for. It has more methods, see `FormationNetwork`: `with_sizes(sizes, key)` returns the
+      network with goals for more sizes, `of_size(robots)` with those of one size alone, `scaled_and_sorted(score,
+      robots)` with the best goal of a size first; and `goals(robots)` returns those of a size, `(robots, 2, goals)`.
 
     Attributes:
         credit: Which reward an action learns from: every robot's velocity from the change of its own potential

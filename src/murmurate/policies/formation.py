@@ -14,20 +14,20 @@ out as the swarm arrives.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
-from typing import Any, ClassVar
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any, ClassVar, Literal
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Float, PRNGKeyArray
 
-from murmurate.errors import MAX_INTEGER, InputError, check_number
+from murmurate.errors import MAX_INTEGER, InputError, check_number, check_type
 from murmurate.geometry._batch_last import sum_terms
 from murmurate.geometry.rings import smallest_ring_radius
-from murmurate.policies.assignment import assignment
+from murmurate.geometry.superposition import superposition
 from murmurate.policies.base import Policy, PolicyNetwork, check_hidden
 from murmurate.policies.equivariant import EquivariantPolicy, EquivariantValue
 from murmurate.policies.features import (
@@ -39,18 +39,12 @@ from murmurate.policies.features import (
 )
 from murmurate.policies.layers import Dense, Linear
 from murmurate.types import Transition
-from murmurate.world.config import WorldConfig
+from murmurate.world.config import WorldConfig, scaled_to
 from murmurate.world.env import World, Wrapper
 from murmurate.world.signals import Configuration, Signal
 from murmurate.world.starts import bounds_of
 
 __all__ = ["ArrivalReward", "FormationNetwork", "FormationPolicy", "places_of"]
-
-START_ANGLES = 8
-"""Directions from which the best superposition is looked for."""
-
-ROUNDS = 2
-"""Rounds from each of them: places are assigned, then the formation is turned to fit them."""
 
 SPREADS = (0.05, 0.7)
 """Spread of the narrowest and the widest formation before training, in radii of the smallest valid ring. From narrow
@@ -68,13 +62,18 @@ WALL_DISTANCE = 1.2
 HEADING_CHANNELS = 4
 """Where the observer and the other robot of a pair are heading, along the line between them and across."""
 
+Freedom = Literal["moved", "turned", "fixed"]
+"""How a formation may be laid on a swarm: moved and turned, turned around the origin, or as it is."""
+
 
 @Policy.register("formation")
 class FormationPolicy(Policy):
     """Robots that remember formations, each of which sees all positions.
 
     Attributes:
-        formations: How many formations are searched and remembered, the best one first.
+        formations: How many formations are searched and remembered for each swarm size, the best one first.
+        fixed: Whether formations keep their place and direction in the world, as walls or several given points ask for.
+            Otherwise swarms turn them as suits, around the gathering point or, where none is known, anywhere.
         hidden: Widths of the node and the edge layer; one number serves for both.
         basis: Number of radial basis functions.
     """
@@ -83,11 +82,13 @@ class FormationPolicy(Policy):
     has_goals: ClassVar[bool] = True
 
     formations: int = eqx.field(default=256, static=True)
+    fixed: bool = eqx.field(default=False, static=True)
     hidden: tuple[int, ...] = eqx.field(default=(32, 16), static=True)
     basis: int = eqx.field(default=8, static=True)
 
     def __check_init__(self) -> None:
         check_number("formations", self.formations, 1, MAX_INTEGER, integer=True)
+        check_type("fixed", self.fixed, bool, "true or false")
         check_hidden(self.hidden, most=2)
         check_number("basis", self.basis, 2, 1000, integer=True)
         if self.credit == "swarm":
@@ -99,23 +100,28 @@ class FormationPolicy(Policy):
         """Builds the two networks."""
         first, second = jax.random.split(key)
         value = EquivariantPolicy(hidden=self.hidden, basis=self.basis)
-        return FormationNetwork(self, world, landmark, first), EquivariantValue(value, world, landmark, second)
+        return FormationNetwork.create(self, world, landmark, first), EquivariantValue(value, world, landmark, second)
 
     def refinement_environment(
         self, env: World | Wrapper, network: FormationNetwork, landmark: bool, recorded: dict[str, Signal]
     ) -> Wrapper:
         """Returns an environment in which every step costs how far the swarm is from the best formation."""
-        return ArrivalReward(env, network.goals()[..., 0], landmark, recorded)
+        del landmark
+        return ArrivalReward(env, network.goals(env.config.robots)[..., 0], network.freedom, recorded)
 
 
 class FormationNetwork(PolicyNetwork):
     """Maps positions to velocities towards the places of a formation, and around other robots.
 
     Attributes:
-        places: The formations, in radii of the smallest valid ring; around the gathering point where it is known.
+        places: The formations of a swarm of the world's size, in radii of the smallest valid ring; around the gathering
+            point where it is known.
+        other_places: The same of swarms of other sizes, each in the world scaled to it.
+        freedom: How formations may be laid on swarms.
     """
 
     places: Float[Array, "formations robots 2"]
+    other_places: tuple[Float[Array, "_ _ 2"], ...]
     node: Dense
     pair: Dense
     mine: Linear
@@ -125,30 +131,35 @@ class FormationNetwork(PolicyNetwork):
     log_std: Float[Array, ""]
     basis: int = eqx.field(static=True)
     world: WorldConfig = eqx.field(static=True)
-    landmark: bool = eqx.field(static=True)
+    freedom: Freedom = eqx.field(static=True)
 
-    def __init__(self, policy: FormationPolicy, world: WorldConfig, landmark: bool, key: PRNGKeyArray) -> None:
+    @classmethod
+    def create(cls, policy: FormationPolicy, world: WorldConfig, landmark: bool, key: PRNGKeyArray) -> FormationNetwork:
+        """Returns a network with random formations of one size, and weights that lead hardly anybody around."""
         keys = jax.random.split(key, 7)
         nodes, edges = policy.hidden[0], policy.hidden[-1]
-        spread = jnp.geomspace(*SPREADS, policy.formations, dtype=jnp.float32)[:, None, None]
-        self.places = spread * jax.random.normal(keys[0], (policy.formations, world.robots, 2), jnp.float32)
-        self.node = Dense(robot_channels(policy.basis, landmark=True), nodes, keys[1], gain=5 / 3)
-        self.pair = Dense(pair_channels(policy.basis) + HEADING_CHANNELS, edges, keys[2])
-        self.mine = Linear(nodes, edges, keys[3])
-        self.theirs = Linear(nodes, edges, keys[4])
-        self.head = Dense(edges, 2, keys[5], gain=0.01)
-        self.to_place = Dense(nodes, 2, keys[6], gain=0.01)
-        self.log_std = jnp.zeros(())
-        self.basis = policy.basis
-        self.world = world
-        self.landmark = landmark
+        return cls(
+            places=_random_places(policy.formations, world.robots, keys[0]),
+            other_places=(),
+            node=Dense(robot_channels(policy.basis, landmark=True), nodes, keys[1], gain=5 / 3),
+            pair=Dense(pair_channels(policy.basis) + HEADING_CHANNELS, edges, keys[2]),
+            mine=Linear(nodes, edges, keys[3]),
+            theirs=Linear(nodes, edges, keys[4]),
+            head=Dense(edges, 2, keys[5], gain=0.01),
+            to_place=Dense(nodes, 2, keys[6], gain=0.01),
+            log_std=jnp.zeros(()),
+            basis=policy.basis,
+            world=world,
+            freedom="fixed" if policy.fixed else "turned" if landmark else "moved",
+        )
 
     def __call__(self, observation: Float[Array, "robots 2 *batch"]) -> Float[Array, "robots 2 *batch"]:
         """Returns the most likely velocities, world units per step."""
         # The learner goals alone trains the formations: no gradient of a motion reaches them.
-        places = jax.lax.stop_gradient(self.goals()[..., 0])
-        offsets = places_of(observation, places, self.world, self.landmark) - observation
-        speed = self.world.max_speed
+        world = self._world(observation.shape[0])
+        places = jax.lax.stop_gradient(self.goals(world.robots)[..., 0])
+        offsets = places_of(observation, places, world, self.freedom) - observation
+        speed = world.max_speed
         farthest = _largest(jnp.abs(offsets).reshape((-1, *offsets.shape[2:]))) / speed
         straight = offsets / jnp.maximum(farthest, 1.0)
         velocities = straight + speed * jnp.minimum(farthest, 1.0) ** 2 * self._around(observation, offsets, straight)
@@ -156,32 +167,85 @@ class FormationNetwork(PolicyNetwork):
         longest = jnp.where(x > y, x, y)[:, None]
         return velocities / jnp.maximum(longest / speed, 1.0)
 
-    def goals(self) -> Float[Array, "robots 2 formations"]:
-        """Returns all formations, world units: the configurations that this policy can bring a swarm to."""
-        return jnp.moveaxis(_unit(self.world) * self.places, 0, -1)
+    @property
+    def sizes(self) -> tuple[int, ...]:
+        """The sizes of swarms for which formations are remembered."""
+        return tuple(places.shape[1] for places in (self.places, *self.other_places))
+
+    def goals(self, robots: int | None = None) -> Float[Array, "robots 2 formations"]:
+        """Returns all formations, world units: the configurations that this policy can bring a swarm to.
+
+        Args:
+            robots: Size of the swarm; by default that of the world.
+
+        Raises:
+            InputError: No formation of this size is remembered.
+        """
+        robots = self.world.robots if robots is None else robots
+        return jnp.moveaxis(_unit(self._world(robots)) * self._places(robots), 0, -1)
+
+    def with_sizes(self, sizes: Sequence[int], key: PRNGKeyArray) -> FormationNetwork:
+        """Returns this network with as many random formations for each of some other sizes of the swarm."""
+        network = self
+        for size in sizes:
+            if size not in self.sizes:
+                places = _random_places(len(self.places), size, jax.random.fold_in(key, size))
+                network = network._with_places(size, places)
+        return network
+
+    def of_size(self, robots: int) -> FormationNetwork:
+        """Returns this network with the formations of one size alone, as a swarm of this size has it.
+
+        Raises:
+            InputError: No formation of this size is remembered.
+        """
+        return replace(self, places=self._places(robots), other_places=(), world=self._world(robots))
 
     def with_first(self, formation: Float[Array, "robots 2"]) -> FormationNetwork:
-        """Returns this network with another formation, world units, as the first, which swarms form.
+        """Returns this network with another formation, world units, as the first of its size, which swarms form.
 
         The others move down, and the last one, which was worth least, is forgotten.
         """
-        first = formation[None] / _unit(self.world)
-        return eqx.tree_at(lambda n: n.places, self, jnp.concatenate([first, self.places[:-1]]))
+        robots = len(formation)
+        places = formation[None] / _unit(self._world(robots))
+        if robots in self.sizes:
+            places = jnp.concatenate([places, self._places(robots)[:-1]])
+        return self._with_places(robots, places)
 
-    def scaled_and_sorted(self, score: Callable[[np.ndarray], np.ndarray]) -> FormationNetwork:
-        """Returns this network with every formation at its best scale, and the best formation first.
+    def scaled_and_sorted(
+        self, score: Callable[[np.ndarray], np.ndarray], robots: int | None = None
+    ) -> FormationNetwork:
+        """Returns this network with every formation of a size at its best scale, and the best formation first.
 
         Args:
             score: Returns how good formations `(formations, robots, 2)` in world units are; -inf for one that is no
                 valid pattern.
+            robots: Size of the swarm; by default that of the world.
         """
-        places = np.moveaxis(np.asarray(self.goals(), float), -1, 0)
-        if not self.landmark:
+        world = self._world(self.world.robots if robots is None else robots)
+        places = np.moveaxis(np.asarray(self.goals(world.robots), float), -1, 0)
+        if self.freedom == "moved":
             places = places - places.mean(axis=1, keepdims=True)
         scales, scores = _best_scales(places, score)
         order = np.argsort(-scores, kind="stable")
-        places = (places * (scales * (1 + SCALE_MARGIN))[:, None, None])[order] / _unit(self.world)
-        return eqx.tree_at(lambda n: n.places, self, jnp.asarray(places, self.places.dtype))
+        places = (places * (scales * (1 + SCALE_MARGIN))[:, None, None])[order] / _unit(world)
+        return self._with_places(world.robots, jnp.asarray(places, self.places.dtype))
+
+    def _places(self, robots: int) -> Float[Array, "formations robots 2"]:
+        for places in (self.places, *self.other_places):
+            if places.shape[1] == robots:
+                return places
+        raise InputError("robots", robots, f"a size that it has formations of: {', '.join(map(str, self.sizes))}")
+
+    def _with_places(self, robots: int, places: Float[Array, "formations robots 2"]) -> FormationNetwork:
+        """Returns this network with these formations for swarms of a size, of which it may have had none."""
+        if robots == self.world.robots:
+            return replace(self, places=places)
+        others = {other.shape[1]: other for other in self.other_places} | {robots: places}
+        return replace(self, other_places=tuple(others.values()))
+
+    def _world(self, robots: int) -> WorldConfig:
+        return self.world if robots == self.world.robots else scaled_to(self.world, robots)
 
     def _around(
         self,
@@ -217,19 +281,19 @@ class ArrivalReward(Wrapper):
 
     Attributes:
         formation: The places of the formation, world units.
-        landmark: Whether it keeps its place around the gathering point.
+        freedom: How it may be laid on swarms.
         recorded: The signals that transitions report, in place of those of the objective; no gradient passes through.
     """
 
     formation: Float[Array, "robots 2"]
-    landmark: bool = eqx.field(static=True)
+    freedom: Freedom = eqx.field(static=True)
     recorded: dict[str, Signal]
 
     def step(self, state: Any, action: Any) -> tuple[Any, Transition]:
         """Advances every episode by one step."""
         after, transition = self.env.step(state, action)
         positions = after.positions
-        offsets = places_of(positions, self.formation, self.config, self.landmark) - positions
+        offsets = places_of(positions, self.formation, self.config, self.freedom) - positions
         # The root has no gradient at 0.
         steps = jnp.sqrt(jnp.sum(offsets**2, axis=1) + 1e-6) / self.config.max_speed
         reward = -(_largest(steps) + jnp.mean(steps, axis=0)) / 2
@@ -243,7 +307,7 @@ def places_of(
     positions: Float[Array, "robots 2 *batch"],
     formation: Float[Array, "robots 2"],
     world: WorldConfig,
-    landmark: bool,
+    freedom: Freedom,
 ) -> Float[Array, "robots 2 *batch"]:
     """Lays a formation on swarms by least squares and returns the place of each robot, world units.
 
@@ -253,48 +317,21 @@ def places_of(
         positions: Positions of the robots.
         formation: The places of the formation.
         world: Sizes of the world; the formation is kept inside as far as it fits.
-        landmark: Whether the formation keeps its place around the gathering point, the origin; it is turned alone then.
+        freedom: How the formation may be laid on them.
     """
     swarms = positions.reshape((*positions.shape[:2], -1))
-    if landmark:
-        center = jnp.zeros((2, 1), swarms.dtype)
-    else:
+    if freedom == "moved":
         center, formation = jnp.mean(swarms, axis=0), formation - jnp.mean(formation, axis=0)
-    turn, order = _superposition(*map(jax.lax.stop_gradient, (swarms - center, formation)))
+    else:
+        center = jnp.zeros((2, 1), swarms.dtype)
+    turn, order = superposition(swarms - center, formation, turned=freedom != "fixed")
     places = _turned(jnp.moveaxis(formation[order], -1, 1), turn) + center
-    if not landmark and world.bounded:
+    if freedom == "moved" and world.bounded:
         limits = bounds_of(world) - WALL_DISTANCE * world.radius
         below = jnp.maximum(-limits - jnp.min(places, axis=0), 0.0)
         above = jnp.maximum(jnp.max(places, axis=0) - limits, 0.0)
         places = places + jax.lax.stop_gradient(below - above)
     return places.reshape(positions.shape)
-
-
-def _superposition(
-    swarms: Float[Array, "robots 2 batch"], formation: Float[Array, "robots 2"]
-) -> tuple[Float[Array, " batch"], Int[Array, "robots batch"]]:
-    """Returns by which angle a formation is turned, and which place each robot gets, where squared distances are least.
-
-    From several directions, places are assigned and the formation is turned to suit them, in turns. Each turn lowers
-    the sum; the least of the sums counts.
-    """
-    robots, _, batch = swarms.shape
-    # Where distances from the centre are fixed, the sum of the squared distances is least where that of products is
-    # greatest, those of all places and robots turned by nothing (real) and by a quarter (imaginary).
-    x, y = swarms[:, None, 0], swarms[:, None, 1]
-    px, py = formation[None, :, 0, None], formation[None, :, 1, None]
-    along, across = (jnp.tile(z, START_ANGLES) for z in (px * x + py * y, px * y - py * x))
-    turn = jnp.repeat(jnp.arange(START_ANGLES) * (2 * math.pi / START_ANGLES), batch)
-    order, real, imaginary = jnp.zeros((robots, START_ANGLES * batch), int), turn, turn
-    for _ in range(ROUNDS):
-        order = assignment(-(jnp.cos(turn) * along + jnp.sin(turn) * across))
-        real, imaginary = (
-            jnp.sum(jnp.take_along_axis(z, order[:, None], axis=1)[:, 0], axis=0) for z in (along, across)
-        )
-        turn = jnp.atan2(imaginary, real)
-    best = jnp.argmax((real**2 + imaginary**2).reshape(START_ANGLES, batch), axis=0)
-    place = best * batch + jnp.arange(batch)
-    return turn[place], order[:, place]
 
 
 def _largest(values: Float[Array, "numbers *batch"]) -> Float[Array, "*batch"]:
@@ -310,6 +347,12 @@ def _largest(values: Float[Array, "numbers *batch"]) -> Float[Array, "*batch"]:
 def _turned(points: Float[Array, "robots 2 batch"], turn: Float[Array, " batch"]) -> Float[Array, "robots 2 batch"]:
     cos, sin = jnp.cos(turn), jnp.sin(turn)
     return jnp.stack([cos * points[:, 0] - sin * points[:, 1], sin * points[:, 0] + cos * points[:, 1]], axis=1)
+
+
+def _random_places(formations: int, robots: int, key: PRNGKeyArray) -> Float[Array, "formations robots 2"]:
+    """Returns formations before training, in radii of the smallest valid ring: from narrow to wide."""
+    spread = jnp.geomspace(*SPREADS, formations, dtype=jnp.float32)[:, None, None]
+    return spread * jax.random.normal(key, (formations, robots, 2), jnp.float32)
 
 
 def _unit(world: WorldConfig) -> float:

@@ -145,9 +145,13 @@ class ExperimentConfig(Problem):
             scaled_to(self.world, robots)
         if len(set(self.sizes)) < len(self.sizes):
             raise InputError("sizes", self.sizes, "different from each other")
-        if not self.policy.any_size:
-            allowed = f"equivariant or local with sizes: {self.policy.name} knows one size only"
+        if not (self.policy.any_size or self.policy.has_goals):
+            allowed = f"equivariant, local or formation with sizes: {self.policy.name} knows one size only"
             raise InputError("policy.use", self.policy.name, allowed)
+        if self.policy.has_goals and self.world.robots not in self.sizes:
+            sizes = ", ".join(map(str, self.sizes))
+            allowed = f"one of sizes ({sizes}): the policy {self.policy.name} has formations for these alone"
+            raise InputError("world.robots", self.world.robots, allowed)
         if self.start.name in ("scattered", "distributed", "packed") or not self.start.fits_any_size():
             raise InputError("start.use", self.start.name, "random with sizes: other starts are of one size")
         if self.discovery.max_policies > 1:

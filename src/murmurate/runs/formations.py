@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,7 +18,7 @@ from murmurate.analysis.optimum.best_known import best_known
 from murmurate.analysis.optimum.formation import Target
 from murmurate.discovery import build_cascade
 from murmurate.discovery.validity import bound_steps, check_validity, is_valid_pattern, replaced_conditions
-from murmurate.errors import InputError, RunError
+from murmurate.errors import BeyondTrainingWarning, InputError, RunError
 from murmurate.geometry import distances
 from murmurate.geometry.similarity import configuration, distance
 from murmurate.policies.formation import FormationNetwork
@@ -106,17 +107,17 @@ def forming(run: Run, formation: Any) -> Run:
     Args:
         run: A run whose last policy remembers formations.
         formation: The number of a class (see `pattern`), or the places of all robots, world units; around the gathering
-            point where it is known.
+            point where it is known. With more or fewer robots than the run's, the swarm has as many.
 
     Raises:
-        InputError: There is no such class; robots would overlap, be nearer than the safe distance or, with the
-            formation turned, outside the world; there are too few or too many; or the policy remembers no formations.
+        InputError: There is no such class; robots would overlap, be nearer than the safe distance or outside the world;
+            the start is of another size; or the policy remembers no formations.
     """
-    network, world = _network(run), run.experiment.world
+    network = _network(run)
     places = pattern(run, formation) if np.ndim(formation) == 0 else configuration(formation)
-    if len(places) != world.robots:
-        raise InputError("formation", f"{len(places)} robots", f"of {world.robots}, as the swarm has")
-    if not run.experiment.landmark:
+    run = _of_size(run, len(places))
+    world = run.experiment.world
+    if network.freedom == "moved":
         places = places - places.mean(axis=0)
     apart = distances(places)[~np.eye(len(places), dtype=bool)]
     # A least value of safety in a valid pattern stands in place of the safe distance.
@@ -124,14 +125,36 @@ def forming(run: Run, formation: Any) -> Run:
     name, least = ("safe_distance", world.safe_distance) if is_safe else ("2 * radius", 2 * world.radius)
     if apart.size and apart.min() < least:
         raise InputError("formation", f"two robots {apart.min():.6g} apart", f"at least {name} = {least:g}")
-    # A swarm turns it as suits.
-    reach, side = np.linalg.norm(places, axis=1).max() + world.radius, world.limits.min()
+    if network.freedom == "fixed":
+        reach, allowed = np.abs(places), "inside the world"
+    else:
+        reach, allowed = np.linalg.norm(places, axis=1), "inside the world however it is turned"
+    reach, side = reach.max() + world.radius, world.limits.min()
     if world.bounded and reach > side:
-        allowed = f"at most {side:g}, so that it is inside the world however it is turned"
-        raise InputError("formation", f"one that reaches {reach:.6g} from its centre", allowed)
-    other = network.with_first(jnp.asarray(places, jnp.float32))
-    policies = (*run.cascade.policies[:-1], other)
-    return replace(run, cascade=build_cascade(run.experiment, policies))
+        raise InputError(
+            "formation", f"one that reaches {reach:.6g} from its centre", f"at most {side:g}, so that it is {allowed}"
+        )
+    other = network.with_first(jnp.asarray(places, jnp.float32)).of_size(len(places))
+    return replace(run, cascade=build_cascade(run.experiment, (*run.cascade.policies[:-1], other)))
+
+
+def _of_size(run: Run, robots: int) -> Run:
+    """Returns a run for swarms of a size, for which its policy need not remember any formation.
+
+    Warns of a size beyond those that the policies were trained among.
+    """
+    experiment = run.experiment
+    trained = experiment.sizes or (experiment.world.robots,)
+    if robots == experiment.world.robots:
+        return run
+    if not experiment.start.fits_any_size():
+        allowed = f"of {experiment.world.robots}, as the start has"
+        raise InputError("formation", f"{robots} robots", allowed)
+    if not min(trained) <= robots <= max(trained):
+        sizes = " to ".join(map(str, sorted({min(trained), max(trained)})))
+        text = f"a formation of {robots} robots: trained were swarms of {sizes}"
+        warnings.warn(f"{text}; others may do worse", BeyondTrainingWarning, stacklevel=4)
+    return replace(run, experiment=experiment.of_size(robots))
 
 
 @dataclass(frozen=True)

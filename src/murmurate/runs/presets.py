@@ -319,7 +319,12 @@ def _weighing(config: ExperimentConfig, signals: Any) -> ExperimentConfig:
     names |= {GATHERING} if names & set(GATHERING_SIGNALS) else set()
 
     def kept(stage: StageConfig) -> StageConfig:
-        return replace(stage, weights={name: weight for name, weight in stage.weights.items() if name in names})
+        stage = replace(stage, weights={name: weight for name, weight in stage.weights.items() if name in names})
+        if not config.policy.has_goals:
+            return stage
+        searched = {name: weight for name, weight in stage.goals.weights.items() if name in (*names, "smooth_safety")}
+        margins = {name: margin for name, margin in stage.goals.margins.items() if name in searched}
+        return replace(stage, goals=replace(stage.goals, weights=searched, margins=margins))
 
     return replace(config, base=kept(config.base), auxiliary=kept(config.auxiliary))
 

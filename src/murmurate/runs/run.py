@@ -98,9 +98,11 @@ class Run:
         Raises:
             InputError: The policies are for one size only, which is another one.
         """
-        current, sizes = self.experiment.world.robots, self.experiment.sizes
-        if robots != current and not self.experiment.policy.any_size:
-            raise InputError("robots", robots, f"{current}: the policy {self.experiment.policy.name} is of one size")
+        current, sizes, policy = self.experiment.world.robots, self.experiment.sizes, self.experiment.policy
+        known = sorted({current, *sizes}) if policy.has_goals else [current]
+        if not policy.any_size and robots not in known:
+            reason = "is of one size" if len(known) == 1 else "remembers formations of these sizes"
+            raise InputError("robots", robots, f"{', '.join(map(str, known))}: the policy {policy.name} {reason}")
         if sizes and not min(sizes) <= robots <= max(sizes):
             text = f"robots = {robots}: trained were swarms of {min(sizes)} to {max(sizes)}; others may do worse"
             warnings.warn(text, BeyondTrainingWarning, stacklevel=3)
@@ -112,7 +114,10 @@ class Run:
             InputError: The experiment is impossible.
         """
         check_type("experiment", experiment, ExperimentConfig, "an experiment, such as replace(run.experiment, ...)")
-        return replace(self, experiment=experiment, cascade=build_cascade(experiment, self.cascade.policies))
+        policies, robots = self.cascade.policies, experiment.world.robots
+        if self.experiment.policy.has_goals and robots != self.experiment.world.robots:
+            policies = [policy.of_size(robots) for policy in policies]
+        return replace(self, experiment=experiment, cascade=build_cascade(experiment, policies))
 
     def remembered(self) -> Catalogue:
         """Returns the distinct valid patterns that a policy `formation` remembers, best first.

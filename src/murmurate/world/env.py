@@ -32,6 +32,7 @@ __all__ = [
     "ActionRepeat",
     "DeadZone",
     "GoalValue",
+    "GoalValues",
     "LocalObservation",
     "MotionCost",
     "ObservedState",
@@ -381,14 +382,15 @@ class GoalValue(Wrapper):
     recorded: dict[str, Signal]
 
     def goal_value(
-        self, goals: Float[Array, "robots 2 *batch"], progress: Float[Array, ""]
-    ) -> tuple[Float[Array, "*batch"], dict[str, Float[Array, "*batch"]]]:
-        """Returns the objective of configurations, and the recorded signals by name.
+        self, policy: Any, progress: Float[Array, ""]
+    ) -> tuple[Float[Array, " goals"], dict[str, Float[Array, " goals"]]]:
+        """Returns the objective of the configurations that a policy steers to, and the recorded signals by name.
 
         Args:
-            goals: The configurations.
+            policy: A policy network whose `goals(robots)` returns them, `(robots, 2, goals)`.
             progress: Share of the training that is done: softness and emphasis fall geometrically.
         """
+        goals = policy.goals(self.config.robots)
         softness = self.softness * (self.softness_end / self.softness) ** progress
         emphasis = self.emphasis ** (1 - progress)
         objective, configuration = self.unwrapped.objective, Configuration(goals, self.config)
@@ -400,6 +402,23 @@ class GoalValue(Wrapper):
         }
         configuration = Configuration(jax.lax.stop_gradient(goals), self.config)
         return objective(values), {name: signal.value(configuration) for name, signal in self.recorded.items()}
+
+
+class GoalValues(eqx.Module):
+    """Values the goals of a policy in swarms of several sizes, each in a world of its own.
+
+    Attributes:
+        parts: A `GoalValue` for each size, or another environment that values goals.
+    """
+
+    parts: tuple[Any, ...]
+
+    def goal_value(
+        self, policy: Any, progress: Float[Array, ""]
+    ) -> tuple[Float[Array, " goals"], dict[str, Float[Array, " goals"]]]:
+        """Returns what `GoalValue.goal_value` does, of the goals of all sizes, one after the other."""
+        results = [part.goal_value(policy, progress) for part in self.parts]
+        return jax.tree.map(lambda *x: jnp.concatenate(x), *results)
 
 
 ASIDE = (0.5403023, 0.8414710)
