@@ -63,6 +63,56 @@ def even_spacing(positions):
     return [result[robot] for robot in range(len(positions))]
 
 
+def inside(positions, half_width, half_height, margin, radius):
+    shares = []
+    for x, y in positions:
+        beyond = max(abs(x) - half_width + margin, abs(y) - half_height + margin, 0.0)
+        shares.append(1 - beyond / (20 * radius))
+    return shares
+
+
+def chain(positions, first, last, reach):
+    """Walks from the first point to the last, robot by robot."""
+    direction = np.subtract(last, first)
+    order = sorted(range(len(positions)), key=lambda robot: float(np.dot(positions[robot], direction)))
+    stops = [np.asarray(first), *(positions[robot] for robot in order), np.asarray(last)]
+    links = [math.dist(before, after) for before, after in itertools.pairwise(stops)]
+    shares = [0.0] * len(positions)
+    for place, robot in enumerate(order):
+        shares[robot] = 1 - max(max(links[place], links[place + 1]) / reach - 1, 0.0)
+    return shares
+
+
+def two_groups(positions, apart, wide, ring_radius):
+    """Cuts the swarm in two along its first singular vector, behind either of the robots in the middle."""
+    along, _ = along_and_across(positions)
+    order = sorted(range(len(along)), key=lambda robot: along[robot])
+    results = []
+    for half in (len(order) // 2, (len(order) + 1) // 2):
+        shares = [0.0] * len(order)
+        for group, others in ((order[:half], order[half:]), (order[half:], order[:half])):
+            middle = np.mean(positions[group], axis=0)
+            for robot in group:
+                far = math.dist(positions[robot], middle) / (wide * ring_radius(max(len(group), 2))) - 1
+                nearest = min(math.dist(positions[robot], positions[other]) for other in others)
+                shares[robot] = 1 - max(far, 1 - nearest / apart, 0.0)
+        results.append(shares)
+    return max(results, key=np.mean)
+
+
+def match(positions, places, radius):
+    """Tries every relabelling, each with the best angle of the singular value decomposition (Kabsch)."""
+    points, wanted = positions - np.mean(positions, axis=0), np.asarray(places) - np.mean(places, axis=0)
+    best, shares = math.inf, []
+    for order in itertools.permutations(range(len(points))):
+        left, _, right = np.linalg.svd(wanted[list(order)].T @ points)
+        turn = left @ np.diag([1.0, np.linalg.det(left @ right)]) @ right
+        off = points - wanted[list(order)] @ turn
+        if (total := float((off**2).sum())) < best:
+            best, shares = total, list(1 - np.linalg.norm(off, axis=1) / (2 * radius))
+    return shares
+
+
 def spread(positions, wanted):
     """Returns the distance of each robot to the nearest other one in parts of the wanted one, 1 at most."""
     shares = []

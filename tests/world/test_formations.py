@@ -10,19 +10,24 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import assume, given
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from murmurate.errors import InputError
+from murmurate.geometry.rings import smallest_ring
 from murmurate.world import (
     PACKINGS,
+    Chain,
     Configuration,
     EqualRadii,
     EvenAngles,
     EvenSpacing,
+    Inside,
+    Match,
     Spread,
     Straight,
     Surround,
+    TwoGroups,
     WorldConfig,
 )
 from oracles import configurations, formations
@@ -35,8 +40,11 @@ SIGNALS = [
     Straight(),
     EvenSpacing(),
     Spread(),
+    TwoGroups(apart=8.0, wide=1.2),
 ]
+IN_THE_WORLD = [Inside(margin=30.0), Chain(first=(-9.0, 3.0), last=(8.0, 5.0), reach=4.0)]
 named = pytest.mark.parametrize("signal", SIGNALS, ids=lambda signal: signal.name)
+everywhere = pytest.mark.parametrize("signal", [*SIGNALS, *IN_THE_WORLD], ids=lambda signal: signal.name)
 
 
 def configuration(positions, half_side=40.0):
@@ -69,8 +77,11 @@ def test_shares_are_the_oracles(seed, robots, side):
         formations.straight(positions, 1.0),
         formations.even_spacing(positions),
         formations.spread(positions, PACKINGS[robots - 2] * 80),
+        formations.two_groups(positions, 8.0, 1.2, lambda count: smallest_ring(count, 1.0, 5.0).radius),
+        formations.inside(positions, 40.0, 40.0, 30.0, 1.0),
+        formations.chain(positions, (-9.0, 3.0), (8.0, 5.0), 4.0),
     ]
-    for signal, shares in zip(SIGNALS, expected, strict=True):
+    for signal, shares in zip([*SIGNALS, *IN_THE_WORLD], expected, strict=True):
         np.testing.assert_allclose(signal(configuration(positions)), shares, rtol=1e-9, atol=1e-9, err_msg=signal.name)
         assert signal.value(configuration(positions)) == pytest.approx(np.mean(shares))
         every = replace(signal, every=True)
@@ -87,7 +98,7 @@ def test_neither_labels_nor_a_turn_change_a_formation(signal, seed, angle):
     np.testing.assert_allclose(after, before[relabelled], atol=1e-7)
 
 
-@named
+@everywhere
 def test_a_batch_is_measured_one_by_one(signal):
     batch = np.stack([drawn(seed, 5, 14.0) for seed in range(3)], axis=-1)
     together = np.asarray(jax.jit(lambda p: signal(configuration(p)))(jnp.asarray(batch)))
@@ -95,15 +106,17 @@ def test_a_batch_is_measured_one_by_one(signal):
         np.testing.assert_allclose(together[:, index], signal(configuration(batch[..., index])), atol=1e-5)
 
 
-SLOPES = [jax.jit(lambda positions, signal=signal: gradient(signal, positions)) for signal in SIGNALS]
+ALL = [*SIGNALS, *IN_THE_WORLD, Match(places=((0.0, 0.0), (6.0, 0.0), (0.0, 7.0), (5.0, 9.0), (-8.0, 3.0)))]
+SLOPES = [jax.jit(lambda positions, signal=signal: gradient(signal, positions)) for signal in ALL]
 
 
+@settings(max_examples=40)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_gradients_are_the_differences(seed):
     positions = drawn(seed, 5, 14.0)
     direction = np.random.default_rng(seed).normal(size=positions.shape)
     step = 1e-5
-    for signal, slopes in zip(SIGNALS, SLOPES, strict=True):
+    for signal, slopes in zip(ALL, SLOPES, strict=True):
         around = [signal.value(configuration(positions + sign * step * direction)) for sign in (-2, -1, 0, 1, 2)]
         sides = [(around[2] - around[0]) / (2 * step), (around[4] - around[2]) / (2 * step)]
         assume(abs(sides[0] - sides[1]) < 1e-4)  # not at a kink, such as that of the wider of two gaps
@@ -115,7 +128,7 @@ def gradient(signal, positions):
     return jax.grad(lambda p: jnp.sum(signal.value(configuration(p))))(jnp.asarray(positions, jnp.float32))
 
 
-@named
+@everywhere
 @pytest.mark.parametrize(
     "positions",
     [
@@ -193,7 +206,56 @@ def test_a_circle_packing_leaves_room_for_its_discs(robots):
     assert robots * math.pi / 4 * m**2 / (1 + m) ** 2 < math.pi / math.sqrt(12)
 
 
+def test_a_zigzag_that_reaches_both_points_is_a_chain_and_a_gap_is_none():
+    """Links of 5 from (-20, 0) to (20, 0); the third robot is missing in the second."""
+    zigzag = np.array([[-20.0 + 4 * number, 3.0 * (number % 2)] for number in range(1, 10)])
+    assert Chain(every=True, reach=5.0).value(configuration(zigzag)) == pytest.approx(1.0)
+    gap = math.dist(zigzag[1], zigzag[3])
+    shares = Chain(reach=5.0)(configuration(np.delete(zigzag, 2, axis=0)))
+    assert sorted(shares)[:3] == pytest.approx([1 - (gap / 5 - 1)] * 2 + [1.0])
+    # No reach of its own: the scan radius, here 120.
+    assert Chain(every=True).value(configuration(zigzag[::8])) == pytest.approx(1.0)
+
+
+def test_two_rings_far_apart_are_two_groups():
+    ring = smallest_ring(4, 1.0, 5.0)
+    for size in (3, 4):
+        both = np.concatenate([ring.positions, ring.positions[:size] + np.array([30.0, 4.0])])
+        assert TwoGroups(every=True, wide=1.6).value(configuration(both)) == pytest.approx(1.0)
+        nearer = TwoGroups(every=True, wide=1.6, apart=40.0).value(configuration(both))
+        assert nearer == pytest.approx(1 - (1 - (min(math.dist(a, b) for a in both[:4] for b in both[4:]) / 40)))
+
+
+@settings(max_examples=40)
+@given(seed=st.integers(0, 2**32 - 1), robots=st.integers(2, 6), angle=st.floats(-3, 3))
+def test_a_pattern_is_matched_wherever_it_lies(seed, robots, angle):
+    places = drawn(seed, robots, 14.0)
+    signal = Match(places=places)
+    order = np.random.default_rng(seed).permutation(robots)
+    laid = turned(places, angle)[order] + np.array([7.0, -3.0])
+    assert Match(places=signal.places, every=True).value(configuration(laid)) == pytest.approx(1.0, abs=1e-6)
+    # Near the pattern, the best superposition is found; the oracle tries all.
+    near = laid + np.random.default_rng(seed + 1).normal(scale=0.2, size=laid.shape)
+    np.testing.assert_allclose(signal(configuration(near)), formations.match(near, places, 1.0), atol=1e-6)
+
+
+def test_patterns_are_neither_scaled_nor_mirrored():
+    hook = np.array([[0.0, 0.0], [6.0, 0.0], [12.0, 0.0], [12.0, 6.0]])
+    signal = Match(places=hook)
+    for other in (1.1 * hook, hook * [1, -1]):
+        assert signal.value(configuration(other)) < 0.95
+    with pytest.raises(InputError, match=r"^places = '4 places': must be 3, one for each robot"):
+        signal(configuration(hook[:3]))
+
+
 def test_bad_numbers_are_one_line():
+    with pytest.raises(InputError, match=r"^last = \[1, 2\]: must be another point than first"):
+        Chain(first=(1, 2), last=(1, 2))
+    with pytest.raises(InputError, match=r"^places = .*nan.*: must be finite numbers"):
+        Match(places=((0.0, math.nan),))
+    for places in (3, "abc", [1.0, 2.0], [[1.0, 2.0, 3.0]]):
+        with pytest.raises(InputError, match=r"^places = .*: must be pairs of numbers"):
+            Match(places=places)
     with pytest.raises(InputError, match=r"^every = 1: must be true or false"):
         EvenAngles(every=1)
     with pytest.raises(InputError, match=r"^distance = 0: must be"):

@@ -1,6 +1,7 @@
-"""Signals of the formations that swarm robotics asks for: circles, lines, dispersion, a ring around a point.
+"""Signals of the formations that swarm robotics asks for: circles, lines, dispersion, a chain, a given pattern, ...
 
-All of them have gradients almost everywhere, need no label of a robot, and do not depend on how the swarm is turned.
+All of them have gradients almost everywhere and need no label of a robot. But for `inside` and `chain`, which are
+measured in the world, none depends on how the swarm is turned.
 """
 
 from __future__ import annotations
@@ -9,22 +10,31 @@ import math
 from typing import Any, ClassVar
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Float
 
 from murmurate.errors import MAX_MAGNITUDE, InputError, check_number, check_type
+from murmurate.geometry.rings import smallest_ring_radius
+from murmurate.geometry.superposition import superposition
 from murmurate.world.signals import Configuration, Signal
 
 Array = Any  # a NumPy or a JAX array
 
 __all__ = [
     "PACKINGS",
+    "Chain",
     "EqualRadii",
     "EvenAngles",
     "EvenSpacing",
     "FormationSignal",
+    "Inside",
+    "Match",
     "Spread",
     "Straight",
     "Surround",
+    "TwoGroups",
 ]
 
 PACKINGS = (
@@ -177,6 +187,183 @@ class Spread(FormationSignal):
         squares = sum(_differences(configuration.positions[:, axis]) ** 2 for axis in (0, 1))
         nearest = xp.where(_itself(xp, squares)[0], xp.inf, squares).min(axis=1)
         return xp.minimum(_root(xp, nearest) / (PACKINGS[robots - 2] * side), 1)
+
+
+@Signal.register("inside")
+class Inside(FormationSignal):
+    """How far each robot is from the walls: 1 where it is at least a margin away from all of them.
+
+    Attributes:
+        margin: The margin, in radii.
+    """
+
+    # A place in the world is a place from its middle.
+    needs_landmark: ClassVar[bool] = True
+
+    margin: float = eqx.field(default=1.2, kw_only=True)
+
+    def __check_init__(self) -> None:
+        super().__check_init__()
+        check_number("margin", self.margin, 0, MAX_MAGNITUDE)
+
+    def __call__(self, configuration: Configuration) -> Float[Array, "robots *batch"]:
+        """Returns 1 - how far the robot is beyond the margin, along either axis the farther, / (20 R)."""
+        xp, positions, world = configuration.xp, configuration.positions, configuration.world
+        x, y = (abs(positions[:, axis]) + self.margin * world.radius for axis in (0, 1))
+        beyond = xp.maximum(xp.maximum(x - world.half_width, y - world.half_height), 0)
+        return 1 - beyond / (20 * world.radius)
+
+
+@Signal.register("chain")
+class Chain(FormationSignal):
+    """How well the robots are a chain of links from one point to another.
+
+    The links are from each robot to the next one in the direction from the first point to the last, and from the points
+    to the robots at the ends.
+
+    Attributes:
+        first: The point at which the chain begins, world units.
+        last: The point at which it ends.
+        reach: Length of the longest link, world units; 0: the scan radius.
+    """
+
+    needs_landmark: ClassVar[bool] = True
+
+    first: tuple[float, float] = eqx.field(default=(-20.0, 0.0), kw_only=True)
+    last: tuple[float, float] = eqx.field(default=(20.0, 0.0), kw_only=True)
+    reach: float = eqx.field(default=0.0, kw_only=True)
+
+    def __check_init__(self) -> None:
+        super().__check_init__()
+        for name in ("first", "last"):
+            for value in getattr(self, name):
+                check_number(name, value, -MAX_MAGNITUDE, MAX_MAGNITUDE)
+        if tuple(self.first) == tuple(self.last):
+            raise InputError("last", list(self.last), "another point than first")
+        check_number("reach", self.reach, 0, MAX_MAGNITUDE)
+
+    def __call__(self, configuration: Configuration) -> Float[Array, "robots *batch"]:
+        """Returns 1 - max(0, length / reach - 1), of the two links of a robot the longer one."""
+        xp, positions = configuration.xp, configuration.positions
+        x, y = positions[:, 0], positions[:, 1]
+        (x0, y0), (x1, y1) = self.first, self.last
+        along = x * (x1 - x0) + y * (y1 - y0)
+        ahead = _differences(along)
+        itself, higher = _itself(xp, ahead)
+        is_after = (ahead > 0) | ((ahead == 0) & higher)
+        length = _root(xp, _differences(x) ** 2 + _differences(y) ** 2)
+        ends = (_length(xp, x - x0, y - y0), _length(xp, x - x1, y - y1))
+        links = []
+        for others, end in ((~is_after & ~itself, ends[0]), (is_after, ends[1])):
+            # Of robots that are as far along, those of the nearest number.
+            order = xp.where(others, abs(ahead), xp.inf)
+            nearest = others & (order == order.min(axis=1, keepdims=True))
+            link = xp.where(nearest, length, xp.inf).min(axis=1)
+            links.append(xp.where(others.any(axis=1), link, end))
+        scan = xp.asarray(configuration.world.scan_radius)
+        # Numbers of signals are leaves, so which of the two it is cannot decide what is compiled.
+        reach = xp.where(xp.asarray(self.reach) > 0, self.reach, scan)
+        return 1 - xp.maximum(xp.maximum(*links) / reach - 1, 0)
+
+
+@Signal.register("two_groups")
+class TwoGroups(FormationSignal):
+    """How well the robots are two groups of equal size, each close together and both far apart.
+
+    The groups are the halves of the swarm along the line that fits it best; of an odd number, that half has one more
+    for which the signal is better.
+
+    Attributes:
+        apart: Distance that a robot keeps from all of the other group, world units.
+        wide: How far from the middle of its group it may be, in radii of the smallest valid ring of as many robots.
+    """
+
+    apart: float = eqx.field(default=20.0, kw_only=True)
+    wide: float = eqx.field(default=1.5, kw_only=True)
+
+    def __check_init__(self) -> None:
+        super().__check_init__()
+        check_number("apart", self.apart, 0, MAX_MAGNITUDE, exclusive_low=True)
+        check_number("wide", self.wide, 0, MAX_MAGNITUDE, exclusive_low=True)
+
+    def __call__(self, configuration: Configuration) -> Float[Array, "robots *batch"]:
+        """Returns 1 - max(0, 1 - d / apart, r / wide - 1).
+
+        d is the distance to the nearest of the other group, r that from the middle of the robot's own.
+        """
+        xp, robots = configuration.xp, configuration.positions.shape[0]
+        along, _ = _along_and_across(configuration)
+        ahead = _differences(along)
+        itself, higher = _itself(xp, ahead)
+        place = ((ahead < 0) | ((ahead == 0) & ~higher & ~itself)).sum(axis=1)
+        shares = [self._of_groups(configuration, place < size) for size in (robots // 2, (robots + 1) // 2)]
+        return xp.where(shares[0].mean(axis=0) >= shares[1].mean(axis=0), *shares)
+
+    def _of_groups(self, configuration: Configuration, is_first: Any) -> Any:
+        xp, positions, world = configuration.xp, configuration.positions, configuration.world
+        x, y = positions[:, 0], positions[:, 1]
+        same = is_first[None] == is_first[:, None]
+        members = xp.where(same, xp.ones_like(x)[None], xp.zeros_like(x)[None])
+        count = members.sum(axis=1)
+        middle = [(members * axis[None]).sum(axis=1) / count for axis in (x, y)]
+        ring = smallest_ring_radius(xp.maximum(count, 2.0), world.radius, world.safe_distance)
+        far = _length(xp, x - middle[0], y - middle[1]) / (self.wide * ring) - 1
+        squares = _differences(x) ** 2 + _differences(y) ** 2
+        nearest = _root(xp, xp.where(same, xp.inf, squares).min(axis=1))
+        return 1 - xp.maximum(xp.maximum(far, 1 - nearest / self.apart), 0)
+
+
+def _pairs(places: Any) -> tuple[tuple[float, float], ...]:
+    """Returns places as what can be compared and hashed.
+
+    Raises:
+        InputError: They are no pairs of numbers.
+    """
+    try:
+        points = np.asarray(places, float).reshape(len(places), 2)
+    except (TypeError, ValueError):
+        raise InputError("places", places, "pairs of numbers, x and y for each robot") from None
+    if not (np.abs(points) <= MAX_MAGNITUDE).all():
+        raise InputError("places", places, f"finite numbers from {-MAX_MAGNITUDE:g} to {MAX_MAGNITUDE:g}")
+    return tuple((x, y) for x, y in points.tolist())
+
+
+# Outside of a jit, its loops would be compiled anew at every call.
+_superposition = jax.jit(superposition)
+
+
+@Signal.register("match")
+class Match(FormationSignal):
+    """How near each robot is to its place in a given pattern, which is laid on the swarm as suits it best.
+
+    It is moved, turned and its places are given to robots, but neither scaled nor mirrored.
+
+    Attributes:
+        places: The places of the pattern, world units: one pair of coordinates for each robot.
+    """
+
+    places: tuple[tuple[float, float], ...] = eqx.field(default=(), converter=_pairs, static=True, kw_only=True)
+
+    def __call__(self, configuration: Configuration) -> Float[Array, "robots *batch"]:
+        """Returns 1 - distance from the place / (2 R): 0.95 within 0.1 R.
+
+        Raises:
+            InputError: The pattern has another number of places than the swarm has robots.
+        """
+        xp, positions = configuration.xp, configuration.positions
+        if len(self.places) != positions.shape[0]:
+            raise InputError("places", f"{len(self.places)} places", f"{positions.shape[0]}, one for each robot")
+        places = np.asarray(self.places, float)
+        places = xp.asarray(places - places.mean(axis=0), dtype=positions.dtype)
+        x, y = (axis.reshape(len(places), -1) for axis in _from_centroid(configuration))
+        # Which place is whose has no gradient, and is found in JAX.
+        _, order = _superposition(jnp.stack([jnp.asarray(x), jnp.asarray(y)], axis=1), jnp.asarray(places))
+        px, py = (places[:, axis][xp.asarray(order)] for axis in (0, 1))
+        real, imaginary = (px * x + py * y).sum(axis=0), (px * y - py * x).sum(axis=0)
+        length = _length(xp, real, imaginary)
+        cosine, sine = (xp.where(length > 0, z / xp.where(length > 0, length, 1.0), 1.0) for z in (real, imaginary))
+        distance = _length(xp, x - cosine * px + sine * py, y - sine * px - cosine * py)
+        return (1 - distance / (2 * configuration.world.radius)).reshape((len(places), *positions.shape[2:]))
 
 
 def _from_centroid(configuration: Configuration) -> tuple[Any, Any]:
