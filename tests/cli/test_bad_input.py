@@ -12,6 +12,9 @@ import pytest
 
 from murmurate.cli.main import main
 
+EXPERIMENTS = (
+    "A, B, C, D, E, F, arrow, chain, circle, convex, groups, line, spread, surround, visibility, or a TOML file"
+)
 START = "start,x,y\n0,-5,0\n0,0,0\n0,5,0\n"
 
 
@@ -42,7 +45,7 @@ def contents(folder):
     ("arguments", "line"),
     [
         ("discover", "the following arguments are required: EXPERIMENT"),
-        ("discover G", "experiment = 'G': must be one of A, B, C, D, E, F, circle, convex, surround, or a TOML file"),
+        ("discover G", f"experiment = 'G': must be one of {EXPERIMENTS}"),
         ("discover --seed 1 G", "experiment = 'G': must be one of"),
         ("discover c", "or a TOML file; did you mean C?"),
         ("discover missing.toml", "experiment = 'missing.toml': must be an existing TOML file: no such file"),
@@ -97,7 +100,7 @@ def contents(folder):
         ),
         (
             "experiments G",
-            "experiment = 'G': must be one of A, B, C, D, E, F, circle, convex, surround, or a TOML file",
+            f"experiment = 'G': must be one of {EXPERIMENTS}",
         ),
         ("experiments --learner best", "--learner is for one experiment: give its name"),
         ("experiments A --learner best", "learner = 'best': must be one of"),
@@ -170,7 +173,7 @@ def test_a_sweep_without_workers(refused, tmp_path, options):
 def test_an_experiment_is_a_name_or_a_toml_file(refused, tmp_path):
     (tmp_path / "mine").write_text("")
     line = refused("discover", "mine", files=1)
-    assert line.startswith("experiment = 'mine': must be one of A, B, C, D, E, F, circle, ")
+    assert line.startswith("experiment = 'mine': must be one of A, B, C, D, E, F, arrow, ")
     assert line.rstrip().endswith(", or a TOML file, whose name ends in .toml")
     (tmp_path / "dir.toml").mkdir()
     assert "must be an existing TOML file: it is a folder" in refused("discover", "dir.toml", files=2)

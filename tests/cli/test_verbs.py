@@ -12,6 +12,7 @@ from murmurate.plots.style import new_page
 from murmurate.runs import files, presets, train
 from murmurate.runs.experiment import load
 from murmurate.runs.folder import RunFolder, describe_starts, is_fresh
+from murmurate.runs.problems import PROBLEMS
 
 FIGURE, ANIMATION = "figures/discovery.png", "figures/discovery.gif"
 
@@ -300,7 +301,7 @@ def test_the_help_of_experiments_names_what_its_errors_name(capsys):
     text = " ".join(capsys.readouterr().out.split())
     assert main(["experiments", "G"]) == 2
     allowed = capsys.readouterr().err.partition("must be one of ")[2].strip()
-    assert allowed == "A, B, C, D, E, F, circle, convex, surround, or a TOML file"
+    assert allowed == f"A, B, C, D, E, F, {', '.join(PROBLEMS)}, or a TOML file"
     assert allowed in text
     assert main(["experiments", "A", "--learner", "best"]) == 2
     allowed = capsys.readouterr().err.partition("must be one of ")[2].strip()

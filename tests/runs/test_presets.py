@@ -145,7 +145,7 @@ def test_what_is_unknown_is_refused(data, learner, line):
 
 
 def test_whose_numbers_a_problem_has_where_nobody_says(tmp_path):
-    """The paper's experiments are searched for formations; the policy of all other problems serves any of them."""
+    """Experiments of the package are searched for formations; the policy of all other problems serves any of them."""
     signals = {"signals": {"near": {"use": "compact"}}}
     several = {"sizes": [4, 6], "start": {"use": "random"}, "discovery": {"max_policies": 1}}
     (tmp_path / "my.toml").write_text("")
@@ -155,7 +155,7 @@ def test_whose_numbers_a_problem_has_where_nobody_says(tmp_path):
         ("C", signals, "equivariant"),
         ("C", several, "equivariant"),
         (tmp_path / "my.toml", {}, "equivariant"),
-        ("circle", {}, "equivariant"),
+        ("circle", {}, "formation"),
     ):
         assert presets.resolve(word, data).policy.name == policy
     assert presets.resolve("C", learner="equivariant") == presets.preset("C", "equivariant")
@@ -218,7 +218,7 @@ def test_an_objective_of_one_s_own_signals_alone(tmp_path, policy, from_file):
 
 @pytest.mark.parametrize("word", ["G", "c", "", "experiment.toml", "."])
 def test_unknown_experiments(word):
-    with pytest.raises(InputError, match=r"(one of A, .*, F, circle, convex, surround, or a|an existing) TOML file"):
+    with pytest.raises(InputError, match=r"(one of A, .*, F, arrow, .*, visibility, or a|an existing) TOML file"):
         presets.resolve(word)
 
 
