@@ -1,21 +1,24 @@
-"""Trains the problems that come with the package and measures them in swarms of 4 to 10: `make problems`.
+"""Trains the problems that come with the package and measures them in swarms of all their sizes: `make problems`.
 
 python -m benchmarks.problems [--runs runs] [--docs docs] [--seeds 0 1] [--problems circle] [--only-finished]
 
-Writes the table of docs/problems.md and docs/figures/problems.png. Finished runs are reused.
+Writes the tables of docs/problems.md and docs/figures/problems.png. Finished runs are reused.
 """
 
 from __future__ import annotations
 
 import argparse
 import itertools
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 import murmurate
 from murmurate import plots
-from murmurate.discovery import bound_steps
+from murmurate.discovery import bound_steps, build_cascade
+from murmurate.policies import LocalPolicy
+from murmurate.policies.baselines import CentralCircle
 from murmurate.runs import files, table
 from murmurate.runs.evaluate import EPISODES
 from murmurate.runs.problems import PROBLEMS
@@ -26,16 +29,31 @@ SIZES = range(4, 11)
 SETS, SET_SIZES, SET_STARTS = ("cluster", "corner", "wall", "walls", "tight-grid"), (5, 8), 60
 """Sets of hard starts, of which swarms, and how many of each."""
 KEY = 7
-"""Seed of starts and frames; training has other starts."""
+"""Seed of starts; training has other starts."""
+RULED = ("circle", "convex", "visibility")
+"""Problems that a ring solves, which a hand-written rule forms: the baseline `circle-central`."""
 
 
-def measure(run: murmurate.Run, robots: int) -> tuple[str, dict[str, float]]:
-    """Executes a policy from 200 random starts in a swarm of another size.
+def of_rule(run: murmurate.Run) -> murmurate.Run:
+    """Returns a run in which a hand-written rule, in place of the policy, sends robots to places on a ring."""
+    rest = replace(run.experiment.rest, dead_zone=CentralCircle.dead_zone, damping=CentralCircle.damping)
+    base = replace(run.experiment.base, learner="ppo", refine=False)
+    experiment = replace(run.experiment, policy=LocalPolicy(), sizes=(), rest=rest, base=base)
+    rule = CentralCircle(experiment.world, experiment.landmark)
+    return replace(run, experiment=experiment, cascade=build_cascade(experiment, [rule]))
+
+
+def sizes_of(run: murmurate.Run) -> tuple[int, ...]:
+    """Returns the sizes of swarms that a run was trained with."""
+    return run.experiment.sizes or (run.experiment.world.robots,)
+
+
+def measure(run: murmurate.Run) -> tuple[str, dict[str, str]]:
+    """Executes a run from 200 random starts.
 
     Returns:
         The cell of the table, and the means of the signals that have a threshold, over all episodes.
     """
-    run = run.of_size(robots)
     experiment = run.experiment
     trajectories = run.rollout(EPISODES, key=KEY)
     validity = murmurate.check_validity(trajectories, experiment.world, experiment.thresholds)
@@ -43,17 +61,15 @@ def measure(run: murmurate.Run, robots: int) -> tuple[str, dict[str, float]]:
     bound = np.mean([bound_steps(start, final, experiment.world.max_speed) for start, final in pairs])
     failed = int((~(validity.contact_free & validity.inside)).sum())
     final = Configuration(np.moveaxis(trajectories.final.astype(float), 0, -1), experiment.world)
-    signals = {
-        name: float(np.mean(signal.value(final))) for name, (signal, least) in experiment.thresholds.items() if least
-    }
-    cell = f"{int(validity.valid.sum())} ({failed}) {trajectories.lengths.mean():.0f} / {bound:.0f}"
-    return cell, signals
+    thresholds = {name: signal for name, (signal, least) in experiment.thresholds.items() if least}
+    signals = {name: f"{float(np.mean(signal.value(final))):.3f}" for name, signal in thresholds.items()}
+    return f"{int(validity.valid.sum())} ({failed}) {trajectories.lengths.mean():.0f} / {bound:.0f}", signals
 
 
-def measure_set(run: murmurate.Run, name: str, robots: int) -> str:
-    """Executes a policy from the first starts of a named set; returns the cell of the table."""
-    run = run.of_size(robots)
-    trajectories = run.rollout(murmurate.start_set(name, robots=robots, count=SET_STARTS), key=KEY)
+def measure_set(run: murmurate.Run, name: str) -> str:
+    """Executes a run from the first starts of a named set; returns the cell of the table."""
+    starts = murmurate.start_set(name, robots=run.experiment.world.robots, count=SET_STARTS)
+    trajectories = run.rollout(starts, key=KEY)
     validity = murmurate.check_validity(trajectories, run.experiment.world, run.experiment.thresholds)
     failed = int((~(validity.contact_free & validity.inside)).sum())
     return f"{int(validity.valid.sum())} ({failed})"
@@ -63,16 +79,22 @@ def page(runs: dict[tuple[str, int], murmurate.Run]) -> str:
     """Returns the tables of finished runs, by problem and seed."""
     rows, exact, hard = [], [], []
     for (name, number), run in runs.items():
-        seed = str(number)
-        cells, signals = zip(*(measure(run, robots) for robots in SIZES), strict=True)
+        seed, measured = str(number), {robots: measure(run.of_size(robots)) for robots in sizes_of(run)}
+        cells = [measured[robots][0] if robots in measured else "" for robots in SIZES]
         rows.append((name, seed, *cells, f"{run.manifest['train_seconds']:.0f} s"))
+        print(*rows[-1], flush=True)
         for signal, least in run.experiment.valid.items():
             if least:
-                exact.append((name, seed, signal, f"{least:g}", *(f"{values[signal]:.3f}" for values in signals)))
-        hard += [
-            (name, seed, str(robots), *(measure_set(run, starts, robots) for starts in SETS)) for robots in SET_SIZES
-        ]
-        print(*rows[-1], flush=True)
+                values = [measured[robots][1][signal] if robots in measured else "" for robots in SIZES]
+                exact.append((name, seed, signal, f"{least:g}", *values))
+        for robots in SET_SIZES:
+            if robots in measured:
+                of_size = run.of_size(robots)
+                hard.append((name, seed, str(robots), *(measure_set(of_size, starts) for starts in SETS)))
+        if name in RULED and (name, number + 1) not in runs:
+            ruled = [of_rule(run.of_size(robots)) for robots in SIZES]
+            rows.append((name, "rule", *(measure(each)[0] for each in ruled), "none"))
+            print(*rows[-1], flush=True)
     tables = [
         table.as_markdown(("", "seed", *map(str, SIZES), "training"), rows),
         table.as_markdown(("", "seed", "signal", "at least", *map(str, SIZES)), exact),
@@ -93,7 +115,7 @@ def main() -> None:
     options = parser.parse_args()
     runs = {}
     for name, seed in itertools.product(options.problems, options.seeds):
-        folder = options.runs / f"{name}-equivariant-seed{seed}"
+        folder = options.runs / f"{name}-formation-seed{seed}"
         if options.only_finished:
             if (folder / "manifest.json").exists():
                 runs[name, seed] = murmurate.load(folder)

@@ -150,7 +150,16 @@ class Reader:
         hidden = ["--policy.hidden", "8,8"]
         if arguments[1] in PROBLEMS:
             size = ["--sizes", "4", "--world.robots", "4"] if arguments[1] != "arrow" else []
-            return [*hidden, *size, "--policy.formations", "4", "--base.goals.updates", "100"]
+            return [
+                *hidden,
+                *size,
+                "--discovery.max_policies",
+                "1",
+                "--policy.formations",
+                "4",
+                "--base.goals.updates",
+                "100",
+            ]
         if "formation" in arguments or "--diverse" in arguments or self.page == "formations.md":
             # A swarm of three has one pattern, and pages form the second.
             return [*hidden, "--world.robots", "6", "--policy.formations", "16", "--base.goals.updates", "1200"]
