@@ -57,7 +57,7 @@ def patterns_figure(
         notes: What else tells them apart, such as fields that differ; empty where nothing does.
 
     Returns:
-        A figure 10 inches wide: one row of up to three runs, two rows of more.
+        A figure 10 inches wide: one row of up to three runs, two or more rows of up to four.
 
     Raises:
         InputError: There are no runs, or not as many labels as runs.
@@ -66,7 +66,8 @@ def patterns_figure(
     check_type("labels", labels, Sequence, "a list of names")
     if not recordings or len(recordings) != len(labels):
         raise InputError("labels", list(labels), f"one for each of at least one run (runs: {len(recordings)})")
-    rows = 1 if len(recordings) <= 3 else 2
+    # Names and counts of narrower panels would be cut.
+    rows = 1 if len(recordings) <= 3 else max(2, -(-len(recordings) // 4))
     columns = -(-len(recordings) // rows)
     notes = notes or [""] * len(labels)
     gap, head, foot = 0.3, 0.72, 0.48 if any(notes) else 0.3
