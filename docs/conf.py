@@ -49,7 +49,8 @@ napoleon_attr_annotations = False  # types stand in the signature already
 
 nitpick_ignore_regex = [
     # Type variables and aliases of types.
-    ("py:.*", r"(murmurate\.(discovery\.problem\.ProblemT|learning\.sharding\.Result|registry\.S)|Credit|Freedom|Key|Safety)"),
+    ("py:.*", r"murmurate\.(discovery\.problem\.ProblemT|learning\.sharding\.Result|registry\.S)"),
+    ("py:.*", r"Credit|Freedom|Key|Safety"),
     ("py:.*", r"eqx\.AbstractVar"),
     # Names of other packages: to know where they are explained, Sphinx would have to fetch their inventories.
     ("py:.*", r"(collections|gymnasium|jax|jaxlib|jaxtyping|matplotlib|numpy|os|pathlib|pettingzoo)\..*"),
