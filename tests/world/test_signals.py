@@ -152,9 +152,12 @@ def test_a_signal_is_the_mean_of_the_robots_shares(seed, robots, side):
     for safety in ("penalty", "shell"):
         measured = configuration(random_configuration(seed, robots, side), safety)
         for name, strategy in Signal.registered().items():
-            shares = strategy()(measured)
+            # A given pattern has a place for each robot, and no default.
+            options = {"places": random_configuration(seed + 1, robots, side).tolist()} if name == "match" else {}
+            signal = strategy(**options)
+            shares = signal(measured)
             assert shares.shape == (robots,)
-            np.testing.assert_allclose(shares.mean(axis=0), strategy().value(measured), atol=1e-12, err_msg=name)
+            np.testing.assert_allclose(shares.mean(axis=0), signal.value(measured), atol=1e-12, err_msg=name)
 
 
 @pytest.mark.parametrize(("name", "gathering"), [("C1", "close"), ("C2", "nclose")])

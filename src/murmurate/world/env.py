@@ -413,6 +413,8 @@ class GoalValues(eqx.Module):
 
     parts: tuple[Any, ...]
 
+    __repr__ = short_repr
+
     def goal_value(
         self, policy: Any, progress: Float[Array, ""]
     ) -> tuple[Float[Array, " goals"], dict[str, Float[Array, " goals"]]]:
