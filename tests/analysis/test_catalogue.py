@@ -15,6 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from murmurate.analysis import TOLERANCE, Catalogue, Finding, symmetry
+from murmurate.analysis.catalogue import MARGINS
 from murmurate.errors import InputError
 from murmurate.geometry.similarity import distance
 
@@ -230,6 +231,26 @@ def test_rows_are_a_csv_file():
 
 
 # Refused
+
+
+def test_the_map_has_every_class_in_one_cell():
+    aside = around(8, 2.0)
+    aside[-1] = 1.2
+    patterns = (around(8, 8.0), ring(8, 8.0), ring(8, 8.0) * [2.5, 1.0], aside)
+    catalogue = Catalogue.from_findings([finding(p, 3.2 - 0.1 * i, i) for i, p in enumerate(patterns)])
+    cells = catalogue.cells()
+    assert sorted(p.name for patterns in cells.values() for p in patterns) == ["P1", "P2", "P3", "P4"]
+    assert all(pattern.cell == cell for cell, patterns in cells.items() for pattern in patterns)
+    around_one, even, oval, _ = (pattern.cell for pattern in catalogue.classes)
+    assert (around_one.hull, around_one.symmetry, around_one.elongation) == (7, 14, 0)
+    assert (even.hull, even.symmetry, even.elongation) == (8, 16, 0)
+    assert (oval.hull, oval.symmetry, oval.elongation) == (8, 4, 0.5)  # it has 0.6
+    assert all(p.cell.margin == max(m for m in (0, *MARGINS) if m <= max(p.margin, 0)) for p in catalogue.classes)
+    assert len({pattern.cell.margin for pattern in catalogue.classes}) > 1
+    header, *rows = catalogue.map_rows()
+    assert len(rows) == len(cells)
+    assert {len(row) for row in rows} == {len(header)}
+    assert {"P1", "P2"} <= {row[header.index("best")] for row in rows}
 
 
 def test_what_does_not_compare():

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from murmurate.analysis import nearest_distances, visibility_margin
+from murmurate.analysis import elongation, nearest_distances, visibility_margin
 from murmurate.analysis.measures import fit_line
 from murmurate.errors import InputError
 from murmurate.geometry import visible
@@ -29,6 +29,23 @@ def test_nearest_distances():
     assert nearest_distances(points) == pytest.approx([5.0, 2.0, 2.0])
     assert nearest_distances(np.ones((2, 2))) == pytest.approx([0.0, 0.0])
     assert nearest_distances(CENTRE) == [np.inf]
+
+
+def test_elongation():
+    assert elongation(ring(7)) == pytest.approx(0.0, abs=1e-12)
+    assert elongation(np.arange(5)[:, None] * [[1.0, 2.0]]) == pytest.approx(1.0)
+    assert elongation(ring(8) * [3.0, 1.0] + [100.0, -50.0]) == pytest.approx(2 / 3)
+    assert elongation(np.ones((4, 2))) == elongation(CENTRE) == 0.0
+    with pytest.raises(InputError, match=r"^positions"):
+        elongation(np.array([[0.0, np.nan]]))
+
+
+@given(seed=st.integers(0, 999), robots=st.integers(2, 9), angle=st.floats(0, 7), scale=st.floats(0.1, 10))
+def test_elongation_is_that_of_the_covariance_however_turned_and_scaled(seed, robots, angle, scale):
+    points = np.random.default_rng(seed).normal(size=(robots, 2))
+    small, large = np.sqrt(np.maximum(np.linalg.eigvalsh(np.cov(points.T, bias=True)), 0))
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    assert elongation(scale * points @ turn) == pytest.approx(1 - small / large, abs=1e-6)
 
 
 @pytest.mark.parametrize("robots", range(3, 13))

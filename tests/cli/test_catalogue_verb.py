@@ -31,17 +31,24 @@ def refused(capsys, arguments, *parts):
         assert part in err
 
 
-def test_it_leaves_json_csv_and_a_plate(discovered, second, tmp_path, capsys):
+FILES = ("catalogue.json", "catalogue.csv", "map.csv", "map.png", "plate.png")
+
+
+def test_it_leaves_json_csv_and_plates(discovered, second, tmp_path, capsys):
     out = tmp_path / "catalogue"
     assert main(["catalogue", str(discovered), str(second), "--out", str(out)]) == 0
-    assert {path.name for path in out.iterdir()} == {"catalogue.json", "catalogue.csv", "plate.png"}
+    assert {path.name for path in out.iterdir()} == set(FILES)
     data = json.loads((out / "catalogue.json").read_text())
     rows = list(csv.DictReader((out / "catalogue.csv").read_text().splitlines()))
     assert sum(int(row["count"]) for row in rows) == len(data["findings"])
     assert "tiny central 0" in rows[0]["seeds"] or "tiny central 1" in rows[0]["seeds"]
-    assert (out / "plate.png").read_bytes().startswith(b"\x89PNG")
+    cells = list(csv.DictReader((out / "map.csv").read_text().splitlines()))
+    assert sum(int(cell["patterns"]) for cell in cells) == len(rows)
+    for plate in ("map.png", "plate.png"):
+        assert (out / plate).read_bytes().startswith(b"\x89PNG")
     shown = capsys.readouterr().out
-    for part in ("symmetry", "margin", "P1", f"plate: {out / 'plate.png'}"):
+    counted = f"map: {out / 'map.csv'}, {len(cells)} cell"
+    for part in ("symmetry", "margin", "P1", f"plates: {out / 'plate.png'}", counted):
         assert part in shown
 
 
@@ -59,7 +66,7 @@ def test_merging_catalogues_is_the_catalogue_of_all_runs_in_any_order(discovered
             "reversed": (second_part, first_part, discovered),
         }.items()
     ]
-    for name in ("catalogue.json", "catalogue.csv", "plate.png"):
+    for name in FILES:
         assert len({(folder / name).read_bytes() for folder in together}) == 1
 
 

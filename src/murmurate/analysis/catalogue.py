@@ -9,18 +9,19 @@ Values of different objectives are not comparable: findings for C1 come before t
 
 from __future__ import annotations
 
+import bisect
 import dataclasses
 import math
 import operator
 from collections import Counter
 from collections.abc import Iterable, Mapping, Set
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from murmurate.analysis.measures import nearest_distances, visibility_margin
+from murmurate.analysis.measures import elongation, nearest_distances, visibility_margin
 from murmurate.analysis.symmetry import SYMMETRY_TOLERANCE, Symmetry, symmetry
 from murmurate.errors import MAX_INTEGER, MAX_MAGNITUDE, InputError, check_all, check_choice, check_number, check_type
 from murmurate.geometry.hull import convex_layers
@@ -34,7 +35,7 @@ from murmurate.geometry.similarity import (
 )
 from murmurate.representation import short_repr
 
-__all__ = ["TOLERANCE", "Catalogue", "Finding", "PatternClass", "unmatched"]
+__all__ = ["TOLERANCE", "Catalogue", "Cell", "Finding", "PatternClass", "unmatched"]
 
 TOLERANCE = 0.125
 """Default tolerance, in root mean square radii, chosen by measurement.
@@ -46,6 +47,9 @@ by up to 0.12, and the next kind is 0.15 away; in D all distances up to 0.5 occu
 agrees: when two patterns of six are superposed, all discs overlap or touch up to a distance of about 0.12, and at 0.15
 one robot is clearly at another place.
 """
+
+ELONGATIONS, MARGINS = (0.1, 0.25, 0.5), (0.02, 0.1, 0.5)
+"""Where the ranges of a map's cells end. Tight patterns have margins near 0, below the first end."""
 
 FORMAT = 1
 ROUNDING = 1e-12
@@ -59,8 +63,28 @@ _OPTIONS = ("tolerance", "symmetry_tolerance", "scaling", "reflection")
 
 HEADER = (
     *("name", "count", "symmetry", "residual", "layers", "objective", "value", "gap", "spread", "margin"),
-    *("nearest_min", "nearest_mean", "nearest_max", "starts", "seeds"),
+    *("nearest_min", "nearest_mean", "nearest_max", "elongation", "starts", "seeds"),
 )
+
+MAP_HEADER = ("hull", "symmetry", "elongation", "margin", "patterns", "best", "objective", "value", "gap")
+
+
+class Cell(NamedTuple):
+    """A cell of the map of a catalogue: what the patterns in it have in common.
+
+    Attributes:
+        hull: Robots on the convex hull.
+        symmetry: Order of the symmetry group: rotations, twice as many with reflections.
+        elongation: Least elongation of the cell; the next one begins at the next of `ELONGATIONS`.
+        margin: Least visibility margin, in radii, likewise; the first cell, of 0, also has what is below.
+    """
+
+    hull: int
+    symmetry: int
+    elongation: float
+    margin: float
+
+    __repr__ = short_repr
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,6 +182,7 @@ class PatternClass:
         layers: Robots on its convex hull, on the hull of those inside, and so on.
         nearest: Each robot's distance to the nearest other one, world units.
         margin: Least gap between a disc and a shadow, in radii.
+        elongation: How much longer than wide it is, from 0 to 1: 1 - width / length.
     """
 
     name: str
@@ -167,6 +192,7 @@ class PatternClass:
     layers: tuple[int, ...]
     nearest: Float[np.ndarray, " robots"]
     margin: float
+    elongation: float
 
     __repr__ = short_repr
 
@@ -174,6 +200,16 @@ class PatternClass:
     def representative(self) -> Finding:
         """The member of greatest value."""
         return self.members[0]
+
+    @property
+    def cell(self) -> Cell:
+        """The cell of the map that it is in."""
+        return Cell(
+            hull=self.layers[0],
+            symmetry=self.symmetry.rotations * (2 if self.symmetry.mirrored else 1),
+            elongation=(0.0, *ELONGATIONS)[bisect.bisect_right(ELONGATIONS, self.elongation)],
+            margin=(0.0, *MARGINS)[bisect.bisect_right(MARGINS, self.margin)],
+        )
 
     @property
     def count(self) -> int:
@@ -289,6 +325,22 @@ class Catalogue:
         """Returns the rows of a CSV file: the header, then one row for each class."""
         return [HEADER, *map(_row, self.classes)]
 
+    def cells(self) -> dict[Cell, tuple[PatternClass, ...]]:
+        """Returns the map: the classes in each cell, best first, by the cell."""
+        cells: dict[Cell, list[PatternClass]] = {}
+        for pattern in self.classes:
+            cells.setdefault(pattern.cell, []).append(pattern)
+        return {cell: tuple(cells[cell]) for cell in sorted(cells)}
+
+    def map_rows(self) -> list[tuple[Any, ...]]:
+        """Returns the rows of a CSV file: the header, then one row for each cell of the map, with its best class."""
+        rows = [
+            (*cell, len(patterns), best.name, best.representative.objective, best.value, best.gap)
+            for cell, patterns in self.cells().items()
+            for best in patterns[:1]
+        ]
+        return [MAP_HEADER, *rows]
+
 
 def unmatched(
     catalogue: Catalogue, configurations: Iterable[Float[np.ndarray, "robots 2"]]
@@ -389,6 +441,7 @@ def _describe(name: str, group: list[tuple[Finding, float]], tolerance: float) -
         layers=convex_layers(best.positions),
         nearest=nearest_distances(best.positions),
         margin=visibility_margin(best.positions, best.radius),
+        elongation=elongation(best.positions),
     )
 
 
@@ -409,7 +462,7 @@ def _row(pattern: PatternClass) -> tuple[Any, ...]:
         pattern.gap,
         pattern.spread,
         pattern.margin,
-        *(float(nearest.min()), float(nearest.mean()), float(nearest.max())),
+        *(float(nearest.min()), float(nearest.mean()), float(nearest.max()), pattern.elongation),
         *(
             "; ".join(f"{label}: {count}" for label, count in counts.items())
             for counts in (pattern.starts, pattern.seeds)

@@ -1,4 +1,4 @@
-"""Measures of one configuration, the distances of nearest robots and the visibility margin; and a line fit."""
+"""Measures of one configuration: nearest distances, visibility margin and elongation; and a line fit."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from murmurate.geometry import distances
 from murmurate.geometry.similarity import configuration
 from murmurate.representation import short_repr
 
-__all__ = ["Line", "fit_line", "nearest_distances", "visibility_margin"]
+__all__ = ["Line", "elongation", "fit_line", "nearest_distances", "visibility_margin"]
 
 
 def nearest_distances(positions: Float[np.ndarray, "robots 2"]) -> Float[np.ndarray, " robots"]:
@@ -25,6 +25,21 @@ def nearest_distances(positions: Float[np.ndarray, "robots 2"]) -> Float[np.ndar
     distance = distances(configuration(positions))
     np.fill_diagonal(distance, np.inf)
     return distance.min(axis=1)
+
+
+def elongation(positions: Float[np.ndarray, "robots 2"]) -> float:
+    """Returns how much longer than wide a configuration is, from 0 to 1: 1 - width / length.
+
+    Length and width are its root mean square extents along its principal axes. A ring has 0 and a line has 1; robots
+    that are all at one point have 0.
+
+    Raises:
+        InputError: The positions are not finite numbers of shape (robots, 2).
+    """
+    points = configuration(positions)
+    # The singular values of centred points; squares of their covariance would lose half of the digits.
+    length, width = (*np.linalg.svd(points - points.mean(axis=0), compute_uv=False), 0.0)[:2]
+    return float(1 - width / length) if length > 0 else 0.0
 
 
 def visibility_margin(positions: Float[np.ndarray, "robots 2"], radius: float) -> float:

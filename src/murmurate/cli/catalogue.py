@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 __all__ = ["run", "show"]
 
-PLATE = "plate.png"
+PLATE, MAP_PLATE = "plate.png", "map.png"
 MAX_DRAWN, MAX_LISTED = 48, 20
 
 
@@ -67,7 +67,27 @@ def show(catalogue: Catalogue, out: Path) -> None:
 
     catalogues.write(catalogue, out)
     _draw(catalogue, out / PLATE)
+    _draw_map(catalogue, out / MAP_PLATE)
     _print(catalogue, out)
+
+
+def _draw_map(catalogue: Catalogue, path: Path) -> None:
+    """Draws the best pattern of each cell of a catalogue's map."""
+    from murmurate import plots
+    from murmurate.analysis import upright
+
+    cells, shown = catalogue.cells(), []
+    for cell, patterns in cells.items():
+        best = patterns[0].representative
+        symbol = patterns[0].symmetry.symbol
+        caption = f"{cell.hull} on hull{' · ' * bool(symbol)}{symbol} · long {cell.elongation:g}"
+        note = f"margin {cell.margin:g} R · best of {len(patterns)}"
+        shown.append(plots.PlatePattern(upright(best.positions), best.radius, best.scan_radius, caption, note))
+    title = f"Map of the patterns of {len(catalogue.findings[0].positions)} robots"
+    subtitle = f"the best pattern of each of {len(cells)} {'cell' if len(cells) == 1 else 'cells'}"
+    if len(cells) > MAX_DRAWN:
+        subtitle += f"; the first {MAX_DRAWN}"
+    plots.save(plots.plate_figure(shown[:MAX_DRAWN], title, subtitle), path)
 
 
 def _draw(catalogue: Catalogue, path: Path) -> None:
@@ -131,4 +151,5 @@ def _print(catalogue: Catalogue, out: Path) -> None:
     if len(catalogue.classes) > MAX_LISTED:
         say(f"and {len(catalogue.classes) - MAX_LISTED} more")
     say(f"classes: {out / catalogues.CLASSES}, all findings: {out / catalogues.CATALOGUE}")
-    say(f"plate: {out / PLATE}")
+    say(f"map: {out / catalogues.MAP}, {len(catalogue.cells())} cells")
+    say(f"plates: {out / PLATE}, {out / MAP_PLATE}")

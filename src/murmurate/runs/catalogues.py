@@ -19,9 +19,9 @@ from murmurate.runs.evaluate import evaluated
 from murmurate.runs.folder import RunFolder, is_fresh, trained_checksums
 from murmurate.world import Configuration, Objective
 
-__all__ = ["CATALOGUE", "CLASSES", "check_target", "read_findings", "write"]
+__all__ = ["CATALOGUE", "CLASSES", "MAP", "check_target", "read_findings", "write"]
 
-CATALOGUE, CLASSES = "catalogue.json", "catalogue.csv"
+CATALOGUE, CLASSES, MAP = "catalogue.json", "catalogue.csv", "map.csv"
 
 
 def read_findings(folder: str | Path, trust: bool = False) -> tuple[Finding, ...]:
@@ -56,7 +56,7 @@ def check_target(folder: str | Path) -> None:
 
 
 def write(catalogue: Catalogue, folder: str | Path) -> None:
-    """Writes a catalogue as JSON, which can be read again, and its classes as CSV.
+    """Writes a catalogue as JSON, which can be read again, and its classes and its map as CSV.
 
     Raises:
         RunError: A file cannot be written.
@@ -65,9 +65,10 @@ def write(catalogue: Catalogue, folder: str | Path) -> None:
     folder = Path(folder)
     files.make_folder(folder)
     files.write_json(folder / CATALOGUE, catalogue.to_dict())
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows([*map(escape.cell, row)] for row in catalogue.rows())
-    files.write_text(folder / CLASSES, text.getvalue())
+    for name, rows in ((CLASSES, catalogue.rows()), (MAP, catalogue.map_rows())):
+        text = io.StringIO()
+        csv.writer(text, lineterminator="\n").writerows([*map(escape.cell, row)] for row in rows)
+        files.write_text(folder / name, text.getvalue())
 
 
 def _run_findings(run: RunFolder, trust: bool) -> tuple[Finding, ...]:
