@@ -204,12 +204,13 @@ def load(folder: str | Path, trust: bool = False) -> murmurate.Run:
 
 
 def pretrained(objective: str = "C2", sensing: str = "visible", scheduler: str = "fsync") -> murmurate.Run:
-    """Opens weights that come with the package: one policy for swarms of any size, ready to use.
+    """Opens weights that come with the package, ready to use: one policy for swarms of many sizes.
 
     Args:
         objective: C2 (gathering anywhere) or C1 (gathering at the origin, which a landmark marks for all).
         sensing: What robots perceive, in frames of their own: visible (fully visible robots), global (all robots),
-            chiral (visible, with a common handedness) or noisy (visible, with noise).
+            chiral (visible, with a common handedness) or noisy (visible, with noise); or shared: all positions, in one
+            frame. These weights remember formations of 4 to 16 robots, and form any other one (`Run.forming`).
         scheduler: When they move: fsync, ssync, adversarial, async or async-nonrigid.
 
     Returns:

@@ -144,15 +144,54 @@ def test_evaluate_writes_a_run_that_forms_what_it_was_told(run, tmp_path, capsys
     assert main(["evaluate", folder, "--target", str(table), "--episodes", "8", "--out", str(tmp_path / "ring")]) == 0
     assert "formed within 0.1 R in 8 of 8 episodes" in capsys.readouterr().out
 
-    for arguments in (["--pattern", "2"], ["--pattern", "2", "--target", str(table), "--out", str(tmp_path / "x")]):
-        assert main(["evaluate", folder, *arguments]) == 2
-        assert "give one of them, and --out" in capsys.readouterr().err
+    assert main(["evaluate", folder, "--pattern", "2"]) == 2
+    assert "--pattern and --target make a run that forms something else: give --out too" in capsys.readouterr().err
+    both = ["--pattern", "2", "--target", str(table), "--out", str(tmp_path / "x")]
+    assert main(["evaluate", folder, *both]) == 2
+    assert "pattern = 2: must be left out: " in capsys.readouterr().err
     assert main(["evaluate", folder, "--pattern", "99", "--out", str(tmp_path / "x")]) == 2
     assert "pattern = 99: must be a number from 1 to" in capsys.readouterr().err
     table.write_text("start,x,y\n" + "".join(f"{n},{x},{y}\n" for n in (0, 1) for x, y in ring))
     assert main(["evaluate", folder, "--target", str(table), "--out", str(tmp_path / "x")]) == 2
     assert "ring.csv = '2 starts': must be one start, which is the formation" in capsys.readouterr().err
     assert not (tmp_path / "x").exists()
+
+
+def test_a_pattern_of_a_catalogue_is_formed_drawn_and_exported(run, tmp_path, capsys):
+    patterns, folder = tmp_path / "patterns", str(run.folder)
+    assert main(["catalogue", folder, "--remembered", "--out", str(patterns), "--quiet"]) == 0
+    third = ["--target", str(patterns), "--pattern", "3"]
+    assert main(["show", folder, *third, "--out", str(tmp_path / "third"), "--quiet"]) == 0
+    assert "formed within 0.1 R in 32 of 32 episodes" in capsys.readouterr().out
+    shown, told = murmurate.load(tmp_path / "third"), run.remembered().classes[2].representative.positions
+    assert (shown.folder / "figures" / "discovery.png").is_file()
+    assert distance(shown.rollout(2).final[0], told, scaling=False) < 0.04
+
+    table = tmp_path / "third.csv"
+    flags = ["--trajectories", "csv", "--episodes", "4", "--out", str(table)]
+    assert main(["export", folder, "--pattern", "3", *flags]) == 0
+    assert "formed within 0.1 R in 4 of 4 episodes" in capsys.readouterr().out
+    assert table.read_text().count("\n") > 4 * 6
+
+    for wrong, line in (
+        (["--target", str(patterns), "--pattern", "999"], "pattern = 999: must be a number from 1 to"),
+        (["--target", str(tmp_path / "nothing")], "nothing"),
+    ):
+        assert main(["show", folder, *wrong, "--out", str(tmp_path / "x")]) == 2
+        assert line in capsys.readouterr().err
+    assert main(["export", folder, "--onnx", "--pattern", "3"]) == 2
+    assert "--pattern is for --trajectories" in capsys.readouterr().err
+
+
+def test_a_table_may_have_another_number_of_robots(run, tmp_path, capsys):
+    table, ring = tmp_path / "ring.csv", 1.2 * smallest_ring(7, 0.4, 2.8).positions
+    table.write_text("start,x,y\n" + "".join(f"0,{x},{y}\n" for x, y in ring))
+    arguments = ["evaluate", str(run.folder), "--target", str(table), "--out", str(tmp_path / "x"), "--episodes", "2"]
+    assert main(arguments) == 0
+    assert "7 robots: trained were swarms of 6; others" in capsys.readouterr().err
+    told = murmurate.load(tmp_path / "x")
+    assert told.experiment.world.robots == 7
+    assert np.allclose(told.cascade.policies[-1].goals()[..., 0], ring - ring.mean(axis=0), atol=1e-5)
 
 
 def test_many_patterns_in_one_command(run, tmp_path, capsys):

@@ -201,7 +201,7 @@ def test_the_way_to_formations_of_several_sizes_is_learned_by_turns(several, tmp
     assert (np.asarray(before.pair.weight) != np.asarray(after.pair.weight)).any()
 
 
-def test_sizes_without_formations_have_to_be_told_one(several):
+def test_sizes_without_formations_have_to_be_told_one(several, tmp_path):
     with pytest.raises(InputError, match="robots = 4: must be 3, 5: the policy formation remembers"):
         several.of_size(4)
     square = 6.0 * np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]])
@@ -211,6 +211,12 @@ def test_sizes_without_formations_have_to_be_told_one(several):
     with pytest.warns(BeyondTrainingWarning, match="a formation of 2 robots: trained were swarms of 3 to 5"):
         pair = several.forming(square[:2])
     assert reached(pair, pair.rollout(20, key=1)).all()
+    # A folder keeps what was told, of a size that was trained and of one that was not.
+    triangle = square[:3] * [1.0, 0.9]
+    for number, other in enumerate((told, several.forming(triangle))):
+        again = Run.open(other.save(tmp_path / str(number)))
+        assert (np.asarray(again.cascade.policies[0].goals()) == np.asarray(other.cascade.policies[0].goals())).all()
+        assert again.experiment == other.experiment
     # What is told is of the size that it is; the others are as they were.
     assert told.cascade.policies[0].sizes == (4,)
     assert several.cascade.policies[0].sizes == (3, 5)

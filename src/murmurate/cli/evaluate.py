@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from murmurate.cli import formations as formation_flags
 from murmurate.cli.arguments import START_NAMES, Parser
 from murmurate.errors import UsageError
 from murmurate.terminal import say
@@ -21,21 +22,18 @@ def run(argv: Sequence[str]) -> int:
     parser.add_argument("--seed", type=int, metavar="INT", help=seed)
     starts = f"{START_NAMES}; or a file start,x,y: one row a robot, every start in file order. The first ten are sets"
     parser.add_argument("--starts", metavar="NAME|FILE.csv", help=starts)
-    pattern = "form this one of the patterns that the policy remembers (1: the best), with --out"
-    parser.add_argument("--pattern", type=int, metavar="INT", help=pattern)
-    target = "form the formation in a table start,x,y of one start, with --out"
-    parser.add_argument("--target", metavar="FILE.csv", help=target)
+    formation_flags.add_flags(parser, ", with --out")
     parser.add_argument("--out", metavar="DIR", help="leave RUN as it is, and write a copy with the new evaluation")
     parser.add_argument("--trust", action="store_true", help="import the modules that RUN names, which executes them")
     parser.add_argument("--quiet", action="store_true", help="do not show the progress")
     options, _ = parser.parse(argv)
 
-    is_other = options.pattern is not None or options.target is not None
-    if is_other and (options.out is None or (options.pattern is not None and options.target is not None)):
-        raise UsageError("--pattern and --target make a run that forms something else: give one of them, and --out")
+    is_other = formation_flags.is_told(options)
+    if is_other and options.out is None:
+        raise UsageError("--pattern and --target make a run that forms something else: give --out too")
     from murmurate.cli import summary
     from murmurate.cli.progress import Progress
-    from murmurate.runs import evaluate, formations
+    from murmurate.runs import evaluate
     from murmurate.runs.folder import RunFolder
     from murmurate.runs.run import Run, check_draw
 
@@ -46,10 +44,8 @@ def run(argv: Sequence[str]) -> int:
     seed = evaluate.SEED if options.seed is None else options.seed
     check_draw(evaluate.EPISODES if options.episodes is None else options.episodes, seed)
     opened = Run.open(folder.path, options.trust)
-    if options.target is not None:
-        opened = opened.forming(formations.read_target(options.target, opened.experiment.world.robots))
-    elif options.pattern is not None:
-        opened = opened.forming(options.pattern)
+    if is_other:
+        opened = formation_flags.told(opened, options)
     with Progress(quiet=options.quiet) as progress:
         result = evaluate.evaluate(opened, options.episodes, seed, options.starts, on_progress=progress.update)
     if is_other:
@@ -59,8 +55,7 @@ def run(argv: Sequence[str]) -> int:
     result.save(target)
     summary.print_results(opened, target)
     if is_other:
-        near = formations.reached(opened, result.trajectories)
-        say(f"formed within {formations.FORMED:g} R in {near.sum()} of {len(near)} episodes")
+        say(formation_flags.formed(opened, result.trajectories))
     say(f"picture: {summary.draw(target)}")
     say("record: " + ", ".join(map(str, target.evaluation_files)))
     return 0

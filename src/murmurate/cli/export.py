@@ -7,6 +7,7 @@ from argparse import Namespace
 from collections.abc import Sequence
 from pathlib import Path
 
+from murmurate.cli import formations as formation_flags
 from murmurate.cli.arguments import Parser
 from murmurate.errors import RunError, UsageError, check_choice, escaped
 from murmurate.terminal import say
@@ -14,7 +15,7 @@ from murmurate.terminal import say
 __all__ = ["run"]
 
 CASCADE = ("--policy", "--opset")
-WAYPOINTS = ("--scale", "--period", "--episodes", "--robot-radius", "--robot-speed")
+WAYPOINTS = ("--scale", "--period", "--episodes", "--robot-radius", "--robot-speed", "--pattern", "--target")
 
 
 def run(argv: Sequence[str]) -> int:
@@ -39,6 +40,7 @@ def run(argv: Sequence[str]) -> int:
         "--robot-radius", type=float, metavar="METRES", help="refuse what robots this large cannot follow"
     )
     parser.add_argument("--robot-speed", type=float, metavar="M/S", help="refuse what robots this fast cannot follow")
+    formation_flags.add_flags(parser, ", in fresh episodes, with --trajectories")
     parser.add_argument("--out", metavar="FILE", help="where to write (default: the run's name, .onnx, .csv or .json)")
     parser.add_argument("--trust", action="store_true", help="import the modules that RUN names, which executes them")
     options, _ = parser.parse(argv)
@@ -91,7 +93,16 @@ def _waypoints(options: Namespace) -> int:
         robot_radius=options.robot_radius,
         robot_speed=options.robot_speed,
     )
-    waypoints = Waypoints.from_run(options.run, scale, options.episodes, options.trust)
+    if formation_flags.is_told(options):
+        from murmurate.runs.evaluate import EPISODES
+        from murmurate.runs.run import Run
+
+        run = formation_flags.told(Run.open(options.run, options.trust), options)
+        trajectories = run.rollout(EPISODES if options.episodes is None else options.episodes)
+        waypoints = Waypoints.from_trajectories(run.experiment, trajectories, scale, where=options.run)
+        say(formation_flags.formed(run, trajectories))
+    else:
+        waypoints = Waypoints.from_run(options.run, scale, options.episodes, options.trust)
     waypoints.write(path, options.trajectories)
     for name, value in waypoints.about().items():
         say(f"{name.replace('_', ' ')}: {value}")

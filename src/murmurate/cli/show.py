@@ -8,12 +8,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from murmurate.cli import formations as formation_flags
 from murmurate.cli.arguments import START_NAMES, Parser
 from murmurate.errors import UsageError, escaped
-from murmurate.terminal import say
+from murmurate.terminal import say, say_text
 
 if TYPE_CHECKING:
     from murmurate.plots import Recording
+    from murmurate.runs.run import Run
 
 __all__ = ["run"]
 
@@ -45,10 +47,11 @@ def run(argv: Sequence[str]) -> int:
     parser.add_argument("--quiet", action="store_true", help="do not show the progress")
     text = "import the modules that the runs name, which executes them"
     parser.add_argument("--trust", action="store_true", help=text)
+    formation_flags.add_flags(parser, "; without RUN, by the package's weights for one shared frame")
     parser.add_argument("--robots", type=int, metavar="INT", help="swarm size, without RUN (default: 8)")
     parser.add_argument("--start", metavar="NAME", help=f"{START_NAMES} (default: random)")
     parser.add_argument("--objective", metavar="C1|C2", help="where to gather: C2 anywhere (default), C1 at the origin")
-    parser.add_argument("--sensing", metavar="NAME", help="visible (default), global, chiral or noisy")
+    parser.add_argument("--sensing", metavar="NAME", help="visible (default), global, chiral, noisy or shared")
     parser.add_argument("--scheduler", metavar="NAME", help="when they move (default: fsync)")
     parser.add_argument("--seed", type=int, metavar="INT", help="seed of the starts (default: 0)")
     options, _ = parser.parse(argv)
@@ -59,38 +62,59 @@ def run(argv: Sequence[str]) -> int:
     if options.animation is not None and (options.mp4 or options.out is not None):
         raise UsageError("--animation names the only file to write: give it without --mp4 and --out")
     if len(folders) > 1:
-        if options.out is None or options.episode is not None or options.mp4 or options.animation is not None:
-            flags = "--episode, --animation nor --mp4"
+        single = (options.episode, options.mp4 or None, options.animation, options.pattern, options.target)
+        if options.out is None or any(option is not None for option in single):
+            flags = "--episode, --animation, --mp4, --pattern nor --target"
             raise UsageError(f"of several runs, only the patterns are drawn: give --out, and neither {flags}")
         return _draw_patterns(folders, Path(options.out), options.trust)
 
     from murmurate import plots
     from murmurate.plots.animation import check_target
     from murmurate.runs.folder import RunFolder
+    from murmurate.runs.pretrained import SHARED
+    from murmurate.runs.run import Run
 
     if options.animation is not None:
         check_target(options.animation, "--animation")  # before patterns are formed
-    if folders:
+    if folders and not formation_flags.is_told(options):
         recording = plots.Recording.open(folders[0], options.trust)
         return _draw(recording, Path(options.out or RunFolder(folders[0]).figures), options)
-    return _form_patterns(options, **PRETRAINED | given)
+    if folders:
+        return _form_patterns(options, Run.open(folders[0], options.trust), str(folders[0]), PRETRAINED["seed"])
+    if formation_flags.is_told(options):
+        given.setdefault("sensing", SHARED)
+    run, name = _package_weights(**PRETRAINED | given)
+    return _form_patterns(options, run, name, (PRETRAINED | given)["seed"])
 
 
-def _form_patterns(
-    options: Namespace, robots: int, start: Any, objective: str, sensing: str, scheduler: str, seed: int
-) -> int:
-    """Lets the package's weights form patterns, keeps them as a run unless only an animation is wanted, and draws."""
-    from murmurate import plots, pretrained
-    from murmurate.cli.progress import Progress
-    from murmurate.runs.evaluate import evaluate
-    from murmurate.runs.folder import RunFolder
+def _package_weights(
+    robots: int, start: Any, objective: str, sensing: str, scheduler: str, seed: int
+) -> tuple[Run, str]:
+    """Returns the package's weights in a swarm, and the folder of the run that they make."""
+    from murmurate import pretrained
     from murmurate.runs.given_starts import find_start
+    from murmurate.runs.pretrained import SHARED
 
     begin = find_start(start, "start")
     run = pretrained(objective, sensing, scheduler).of_size(robots)
-    run = run.under(replace(run.experiment, sizes=(), start=begin))
     name = start.replace(":", "-")  # no system allows a colon everywhere in a path
-    folder = Path(options.out or f"runs/{objective}-{sensing}-{scheduler}-{robots}-{name}-seed{seed}")
+    # What is formed by robots that know all positions has the sizes that it remembers.
+    sizes = run.experiment.sizes if sensing == SHARED else ()
+    run = run.under(replace(run.experiment, sizes=sizes, start=begin))
+    return run, f"runs/{objective}-{sensing}-{scheduler}-{robots}-{name}-seed{seed}"
+
+
+def _form_patterns(options: Namespace, run: Run, name: str, seed: int) -> int:
+    """Lets a swarm form patterns, keeps them as a run unless only an animation is wanted, and draws."""
+    from murmurate import plots
+    from murmurate.cli.progress import Progress
+    from murmurate.runs.evaluate import evaluate
+    from murmurate.runs.folder import RunFolder
+
+    if formation_flags.is_told(options):
+        run = formation_flags.told(run, options)
+        name += "-target" if options.pattern is None else f"-pattern{options.pattern}"
+    folder, robots = Path(options.out or name), run.experiment.world.robots
     if options.animation is None:
         RunFolder(folder).inspect()  # before patterns are formed
     episodes = max(1, min(EPISODES, MAX_PAIRS // robots**2))
@@ -99,12 +123,14 @@ def _form_patterns(
     valid = int(evaluation.validity.valid.sum())
     starts = "1 start" if episodes == 1 else f"{episodes} starts"
     summary = f"{robots} robots, {starts}: {valid} ended in a valid pattern"
+    if formation_flags.is_told(options):
+        summary += f"\n{formation_flags.formed(run, evaluation.trajectories)}"
     if options.animation is not None:
-        say(summary)
+        say_text(summary)
         return _draw(plots.Recording(run.experiment, evaluation.trajectories), Path(), options)
     run.save(folder)
     evaluation.save(folder)
-    say(summary)
+    say_text(summary)
     return _draw(plots.Recording.open(folder), RunFolder(folder).figures, options)
 
 

@@ -24,6 +24,7 @@ from murmurate.representation import short_repr
 from murmurate.runs import files
 from murmurate.runs.experiment import ExperimentConfig
 from murmurate.runs.folder import RunFolder
+from murmurate.types import Trajectories
 
 __all__ = ["FORMATS", "Format", "Scale", "Waypoints"]
 
@@ -102,14 +103,38 @@ class Waypoints:
         run.verify()
         experiment = run.experiment(trust)
         trajectories = run.trajectories(experiment)
-        positions, lengths = trajectories.positions.astype(float), trajectories.lengths
         if episodes is not None:
-            check_number("--episodes", episodes, 1, len(positions), integer=True)
+            check_number("--episodes", episodes, 1, len(trajectories.positions), integer=True)
+        return cls.from_trajectories(experiment, trajectories, scale, episodes, folder)
+
+    @classmethod
+    def from_trajectories(
+        cls,
+        experiment: ExperimentConfig,
+        trajectories: Trajectories,
+        scale: Scale,
+        episodes: int | None = None,
+        where: str | Path = "trajectories",
+    ) -> Waypoints:
+        """Scales the first episodes, without those that ended in contact or outside the world.
+
+        Args:
+            experiment: The experiment that they are of.
+            trajectories: The episodes.
+            scale: The scales.
+            episodes: Number of episodes to take; None: all of them.
+            where: Where they are from, for messages.
+
+        Raises:
+            RunError: No episode can be followed.
+            InputError: The robots of `scale` cannot follow.
+        """
+        positions, lengths = trajectories.positions.astype(float), trajectories.lengths
         chosen = range(len(positions) if episodes is None else episodes)
         contact_free, inside = contact_free_and_inside(positions[: len(chosen)], experiment.world)
         passable = np.flatnonzero(contact_free & inside).tolist()
         if not passable:
-            raise RunError(f"{folder}: every one of {len(chosen)} episodes ended in contact or outside the world")
+            raise RunError(f"{where}: every one of {len(chosen)} episodes ended in contact or outside the world")
         points = [np.round(scale.metres * positions[index, : lengths[index] + 1], DIGITS) for index in passable]
         times = [np.round(scale.seconds * np.arange(len(path)), DIGITS) for path in points]
         left_out = tuple(sorted(set(chosen) - set(passable)))

@@ -23,9 +23,10 @@ from murmurate.geometry import distances
 from murmurate.geometry.similarity import configuration, distance
 from murmurate.policies.formation import FormationNetwork
 from murmurate.representation import short_repr
+from murmurate.runs.catalogues import read_findings
 from murmurate.runs.table import gap
 from murmurate.types import Trajectories
-from murmurate.world import Configuration, Objective, read_starts
+from murmurate.world import Configuration, Objective, WorldConfig, read_starts
 
 if TYPE_CHECKING:
     from murmurate.runs.run import Run
@@ -94,11 +95,7 @@ def pattern(run: Run, number: Any) -> Float[np.ndarray, "robots 2"]:
         InputError: There is no such class, or the policy remembers no formations.
         RunError: None of them is a valid pattern.
     """
-    classes = remembered(run).classes
-    if isinstance(number, bool) or not isinstance(number, int | np.integer) or not 1 <= number <= len(classes):
-        allowed = f"a number from 1 to {len(classes)}: the policy remembers so many distinct valid patterns"
-        raise InputError("pattern", number, allowed)
-    return classes[number - 1].representative.positions
+    return _numbered(remembered(run).classes, number, "the policy remembers").representative.positions
 
 
 def forming(run: Run, formation: Any) -> Run:
@@ -135,7 +132,10 @@ def forming(run: Run, formation: Any) -> Run:
             "formation", f"one that reaches {reach:.6g} from its centre", f"at most {side:g}, so that it is {allowed}"
         )
     other = network.with_first(jnp.asarray(places, jnp.float32)).of_size(len(places))
-    return replace(run, cascade=build_cascade(run.experiment, (*run.cascade.policies[:-1], other)))
+    # What a folder of this run holds: the formations of one size, and of a size that was not trained this one alone.
+    policy = replace(run.experiment.policy, formations=len(other.places))
+    experiment = replace(run.experiment, sizes=(), policy=policy)
+    return replace(run, experiment=experiment, cascade=build_cascade(experiment, (*run.cascade.policies[:-1], other)))
 
 
 def _of_size(run: Run, robots: int) -> Run:
@@ -258,16 +258,36 @@ def reached(run: Run, trajectories: Trajectories) -> Bool[np.ndarray, " episodes
     return trajectories.at_rest & (apart <= FORMED * run.experiment.world.radius)
 
 
-def read_target(path: str | Path, robots: int) -> Float[np.ndarray, "robots 2"]:
-    """Reads a formation from a table start,x,y as files of starts have it, with one start.
+def read_target(path: str | Path, world: WorldConfig, number: int | None = None) -> Float[np.ndarray, "robots 2"]:
+    """Reads a formation: a table start,x,y as files of starts have it, with one start, or a pattern of a catalogue.
+
+    Args:
+        path: The table, or the folder of a catalogue.
+        world: The world that it is for: a catalogue's patterns are scaled to robots as large.
+        number: Which class of the catalogue, 1 for the best, which it is without a number.
 
     Raises:
-        InputError: The table is unreadable, or is of another number of robots or of several starts.
+        InputError: The table is unreadable, or is of several starts; a table is given a number, or the catalogue has no
+            such class.
+        RunError: There is no catalogue in a folder, or it is damaged.
     """
-    formations = read_starts(path, robots)
+    if Path(path).is_dir():
+        findings = Catalogue.from_findings(read_findings(path)).classes
+        best = _numbered(findings, 1 if number is None else number, f"{path} has").representative
+        return best.positions * (world.radius / best.radius)
+    if number is not None:
+        raise InputError("pattern", number, f"left out: {path} has one formation, and only a catalogue has several")
+    formations = read_starts(path, None)
     if len(formations) != 1:
         raise InputError(str(path), f"{len(formations)} starts", "one start, which is the formation")
     return formations[0]
+
+
+def _numbered(classes: Sequence[PatternClass], number: Any, owner: str) -> PatternClass:
+    """Returns the class of a number, from 1."""
+    if isinstance(number, bool) or not isinstance(number, int | np.integer) or not 1 <= number <= len(classes):
+        raise InputError("pattern", number, f"a number from 1 to {len(classes)}: {owner} so many distinct patterns")
+    return classes[number - 1]
 
 
 def _network(run: Run) -> FormationNetwork:

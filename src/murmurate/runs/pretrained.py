@@ -11,10 +11,13 @@ from murmurate.runs.comparison import SCHEDULERS, SENSINGS
 from murmurate.runs.folder import RunFolder
 from murmurate.runs.run import Run
 
-__all__ = ["CARD", "FOLDER", "available", "pretrained"]
+__all__ = ["CARD", "FOLDER", "SHARED", "available", "pretrained"]
 
 FOLDER = Path(murmurate.__file__).parent / "pretrained"
 """One folder for each objective, in it one for each kind of sensing: weights serve every scheduler."""
+
+SHARED = "shared"
+"""Stands in place of a kind of sensing for the weights of robots that know all positions in one frame."""
 
 CARD = "README.md"
 """The card beside each set of weights: what it is, how it was trained, and where it was measured."""
@@ -35,7 +38,9 @@ def pretrained(objective: str = "C2", sensing: str = "visible", scheduler: str =
     """
     known = available()
     check_choice("objective", objective, tuple(known))
-    check_choice("sensing", sensing, tuple(name for name, kind in SENSINGS.items() if kind.name in known[objective]))
+    folders = {name: kind.name for name, kind in SENSINGS.items()} | {SHARED: SHARED}
+    check_choice("sensing", sensing, tuple(name for name, folder in folders.items() if folder in known[objective]))
     check_choice("scheduler", scheduler, tuple(SCHEDULERS))
-    run = Run.open(FOLDER / objective / SENSINGS[sensing].name)
-    return run.under(replace(run.experiment, sensing=SENSINGS[sensing], scheduler=SCHEDULERS[scheduler]))
+    run = Run.open(FOLDER / objective / folders[sensing])
+    perceived = run.experiment.sensing if sensing == SHARED else SENSINGS[sensing]
+    return run.under(replace(run.experiment, sensing=perceived, scheduler=SCHEDULERS[scheduler]))

@@ -23,12 +23,12 @@ MAX_STARTS_BYTES = 1 << 26
 """Size of a file of starts, at most."""
 
 
-def read_starts(path: str | Path, robots: int) -> Float[np.ndarray, "starts robots 2"]:
+def read_starts(path: str | Path, robots: int | None) -> Float[np.ndarray, "starts robots 2"]:
     """Reads a CSV file of starts: the header `start,x,y`, then one row for each robot of each start.
 
     Args:
         path: The file.
-        robots: How many robots each start must have.
+        robots: How many robots each start must have; None: as many as the first one.
 
     Returns:
         The starts in the order of their first rows.
@@ -39,7 +39,7 @@ def read_starts(path: str | Path, robots: int) -> Float[np.ndarray, "starts robo
     return np.array(list(read_named_starts(path, robots).values()))
 
 
-def read_named_starts(path: str | Path, robots: int) -> dict[str, Float[np.ndarray, "robots 2"]]:
+def read_named_starts(path: str | Path, robots: int | None) -> dict[str, Float[np.ndarray, "robots 2"]]:
     """Reads a CSV file of starts as `read_starts` does, by what its column `start` calls them.
 
     Raises:
@@ -47,7 +47,8 @@ def read_named_starts(path: str | Path, robots: int) -> dict[str, Float[np.ndarr
             start has another number of robots.
     """
     check_path("path", path)
-    check_number("robots", robots, 1, integer=True)
+    if robots is not None:
+        check_number("robots", robots, 1, integer=True)
     source = str(path)
     try:
         # Spreadsheets begin files with a byte-order mark.
@@ -76,9 +77,10 @@ def read_named_starts(path: str | Path, robots: int) -> dict[str, Float[np.ndarr
         raise InputError("starts", source, f"a readable CSV file ({reason})") from None
     if not starts:
         raise InputError(source, "no rows", "at least one start")
+    expected = len(next(iter(starts.values()))) if robots is None else robots
     for name, points in starts.items():
-        if len(points) != robots:
-            raise InputError(f"{source}: start {name}", f"{len(points)} robots", f"{robots} robots")
+        if len(points) != expected:
+            raise InputError(f"{source}: start {name}", f"{len(points)} robots", f"{expected} robots")
     return {name: np.array(points) for name, points in starts.items()}
 
 
