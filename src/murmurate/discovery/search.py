@@ -16,6 +16,7 @@ from murmurate.discovery.build import build_cascade, build_world
 from murmurate.discovery.curriculum import Curriculum
 from murmurate.discovery.limits import check_training, rollout
 from murmurate.discovery.problem import Problem
+from murmurate.discovery.programs import forget_programs
 from murmurate.discovery.stage import Stage, draw_key, policy_name, repeat_to, training_world
 from murmurate.discovery.validity import check_validity
 from murmurate.learning import TrainState, check_divides, sharding, train_together
@@ -32,10 +33,6 @@ from murmurate.world import (
 )
 
 __all__ = ["Search", "Snapshot", "advance_together"]
-
-FEW_SIZES = 4
-"""Sizes whose compiled programs are kept until the end."""
-
 
 @dataclass(frozen=True)
 class Snapshot:
@@ -155,6 +152,7 @@ class Search:
         """Returns the share of fresh episodes from (S_0, epsilon) in which the list forms a valid pattern."""
         key, valid = draw_key(self.problem, index, "evaluation"), []
         for part, world in zip(self.curriculum.parts, self.part_worlds, strict=True):
+            forget_programs()
             starts = draw_starts(world.start, key, part.discovery.episodes, world.config)
             trajectories = rollout(build_cascade(part, policies, world), starts)
             valid.append(check_validity(trajectories, part.world, part.thresholds).valid)
@@ -166,9 +164,6 @@ class Search:
         The last policy of a list that stays incomplete is left out again where fewer patterns are valid with it.
         """
         config, index = self.problem.discovery, len(snapshot.policies)
-        if len(self.problem.sizes) > FEW_SIZES:
-            # A process may map only so many pieces of code (65,530 on Linux), and programs for ten sizes are most.
-            jax.clear_caches()
         policies = (*snapshot.policies, policy)
         # Every policy's sigma* comes from running the whole list so far from where the base policy was trained.
         world = training_world(self.problem, 0, self.world.start, self.begin().sigma)
@@ -203,6 +198,7 @@ def advance_together(
     Returns:
         What `Search.advance` returns, for each. It is the same as alone, but for the order of floating-point sums.
     """
+    forget_programs()
     stages = [search.stage(snapshot) for search, snapshot in zip(searches, snapshots, strict=True)]
     before = [search.training(snapshot) for search, snapshot in zip(searches, snapshots, strict=True)]
     results = train_together([stage.next_chunk(train) for stage, train in zip(stages, before, strict=True)])
