@@ -34,6 +34,7 @@ from murmurate.world import (
 
 __all__ = ["Search", "Snapshot", "advance_together"]
 
+
 @dataclass(frozen=True)
 class Snapshot:
     """How far a search has come: all that resuming needs.
