@@ -9,7 +9,7 @@ CONSTRAINTS ?= constraints.txt
 # By default runs/EXPERIMENT-LEARNER-seedSEED.
 OUT ?=
 
-.PHONY: discover test pytest test-nightly lint dist docs figures-docs benchmark results problems formations seeds optima pretrained models compare clean
+.PHONY: discover test pytest test-nightly lint dist docs figures-docs benchmark results problems formations seeds archives optima pretrained models compare clean
 
 # Compiling every module takes as long as unpacking them. A run imports one in ten, which Python compiles and keeps.
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --constraint $(CONSTRAINTS) --editable
@@ -77,6 +77,10 @@ formations: $(VENV)/.core  ## other patterns than the best, and random ones (an 
 
 seeds: $(VENV)/.core  ## searches formations of A-F with sixteen seeds (an hour); writes docs/discoveries.md
 	$(BIN)/python -m benchmarks.seeds
+
+archives: $(VENV)/.core  ## searches, annealing and MAP-Elites (pyribs) at equal cost (an hour); writes into docs/discoveries.md
+	$(BIN)/python -c 'import ribs' 2>/dev/null || $(INSTALL) '.[benchmark]'
+	$(BIN)/python -m benchmarks.archives
 
 optima: $(VENV)/.core  ## searches for better patterns than the best known (two hours); keeps what is better
 	$(BIN)/python -m benchmarks.optima

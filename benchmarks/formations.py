@@ -23,18 +23,19 @@ from murmurate.cli.catalogue import PLATE, show
 from murmurate.discovery import bound_steps
 from murmurate.runs import files, formations, table
 from murmurate.runs.paper import EXPERIMENTS
+from murmurate.runs.pretrained import SHARED
 from murmurate.world import Start
 
 BEGIN, END = "<!-- measured formations -->", "<!-- end of measured formations -->"
 KEY = 7
 """Seed of starts; training has other starts."""
-PATTERNS, PATTERN_STARTS = 20, 50
+PATTERNS, PATTERN_STARTS = 20, 200
 """How many of the remembered patterns are formed, from how many starts each."""
 MORE, MORE_OF = 1024, ("E", "F")
 """How many formations are searched in further runs, and of which experiments."""
 TARGET_COLUMNS = ("formed", "contact or exit", "steps / bound")
-TARGETS, TARGET_STARTS, TARGET_SIZES = 100, 5, (4, 8, 12)
-"""How many random formations are formed, from how many starts each, by how many robots."""
+TARGETS, TARGET_STARTS, TARGET_SIZES = 100, 5, (4, 8, 12, 16)
+"""How many random formations the package's weights form, from how many starts each, in swarms of which sizes."""
 
 
 def pattern_row(name: str, run: murmurate.Run) -> tuple[str, ...]:
@@ -86,7 +87,7 @@ def target_row(run: murmurate.Run) -> tuple[str, ...]:
 
 
 def page(runs: dict[str, murmurate.Run], more: dict[str, murmurate.Run], sizes: list[murmurate.Run]) -> str:
-    """Returns the tables of finished runs: by experiment, with more formations, and of other sizes."""
+    """Returns the tables: of finished runs, by experiment and with more formations, and of weights in several sizes."""
     patterns = []
     for name, run in (*runs.items(), *more.items()):
         patterns.append(pattern_row(name, run))
@@ -103,8 +104,8 @@ def page(runs: dict[str, murmurate.Run], more: dict[str, murmurate.Run], sizes: 
             "Patterns that the runs of seed 0 remember, beside those that annealing finds, and\n"
             f"the best of them formed from {PATTERN_STARTS} starts each:\n",
             table.as_markdown(pattern_header, patterns),
-            f"{TARGETS} random formations that were never trained, from {TARGET_STARTS} random starts each, and\n"
-            "from as many crowds in a corner:\n",
+            f'{TARGETS} random formations of each size, told to one policy, `murmurate.pretrained("C2", "shared")`,\n'
+            f"from {TARGET_STARTS} random starts each, and from as many crowds in a corner:\n",
             table.as_markdown(target_header, targets),
         )
     )
@@ -128,7 +129,7 @@ def main() -> None:
     policy = {"use": "formation", "formations": MORE}
     runs = {name: run(f"{name}-formation-seed0", name) for name in options.experiments}
     more = {name: run(f"{name}-formation-{MORE}-seed0", name, policy=policy) for name in MORE_OF if name in runs}
-    sizes = [run(f"formation-{robots}-seed0", "E", world={"robots": robots}, start="random") for robots in TARGET_SIZES]
+    weights = murmurate.pretrained("C2", SHARED)
     runs, more = ({name: run for name, run in some.items() if run is not None} for some in (runs, more))
     if not runs:
         raise SystemExit(f"no finished run in {options.runs}")
@@ -137,7 +138,7 @@ def main() -> None:
             show(runs["E"].remembered(), Path(folder))
             shutil.copy(Path(folder) / PLATE, options.docs / "figures" / "remembered.png")
     document = options.docs / "formations.md"
-    tables = page(runs, more, [run for run in sizes if run is not None])
+    tables = page(runs, more, [weights.of_size(robots) for robots in TARGET_SIZES])
     before, _, rest = document.read_text(encoding="utf-8").partition(BEGIN)
     files.write_text(document, f"{before}{BEGIN}\n{tables}{END}{rest.partition(END)[2]}")
 

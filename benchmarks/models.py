@@ -73,13 +73,14 @@ def conditions(episodes: int, sizes: Sequence[int], schedulers: Sequence[str]) -
 
 
 def measure(condition: Condition) -> dict[str, Any] | None:
-    """Executes the package's weights; None where the family does not fit the world."""
-    run = murmurate.pretrained(condition.objective, condition.sensing, condition.scheduler).of_size(condition.robots)
-    world = run.experiment.world
+    """Executes the package's weights; None where they are not for so many robots, or the family fits no such world."""
+    run = murmurate.pretrained(condition.objective, condition.sensing, condition.scheduler)
     try:
+        run = run.of_size(condition.robots)
         starts = murmurate.start_set(condition.starts, robots=condition.robots, count=condition.episodes)
     except InputError:
         return None
+    world = run.experiment.world
     trajectories = run.rollout(starts, key=KEY)
     validity = murmurate.check_validity(trajectories, world)
     valid, final = validity.valid, trajectories.final

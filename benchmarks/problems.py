@@ -30,8 +30,8 @@ SETS, SET_SIZES, SET_STARTS = ("cluster", "corner", "wall", "walls", "tight-grid
 """Sets of hard starts, of which swarms, and how many of each."""
 KEY = 7
 """Seed of starts; training has other starts."""
-RULED = ("circle", "convex", "visibility")
-"""Problems that a ring solves, which a hand-written rule forms: the baseline `circle-central`."""
+RINGS = ("circle", "convex", "visibility")
+"""Problems that a ring solves, which the baseline `circle-central` forms, and the package's weights with own eyes."""
 
 
 def of_rule(run: murmurate.Run) -> murmurate.Run:
@@ -41,6 +41,16 @@ def of_rule(run: murmurate.Run) -> murmurate.Run:
     experiment = replace(run.experiment, policy=LocalPolicy(), sizes=(), rest=rest, base=base)
     rule = CentralCircle(experiment.world, experiment.landmark)
     return replace(run, experiment=experiment, cascade=build_cascade(experiment, [rule]))
+
+
+def of_own_eyes(run: murmurate.Run) -> murmurate.Run:
+    """Returns a run in which the package's weights act on what each robot sees, in place of the policy."""
+    weights = murmurate.pretrained("C2", "visible")
+    seeing = weights.experiment
+    parts = {name: getattr(seeing, name) for name in ("policy", "sensing", "rest", "shield")}
+    base = replace(run.experiment.base, learner="ppo", refine=False)
+    experiment = replace(run.experiment, sizes=(), base=base, **parts)
+    return replace(run, experiment=experiment, cascade=build_cascade(experiment, weights.cascade.policies))
 
 
 def sizes_of(run: murmurate.Run) -> tuple[int, ...]:
@@ -91,10 +101,15 @@ def page(runs: dict[tuple[str, int], murmurate.Run]) -> str:
             if robots in measured:
                 of_size = run.of_size(robots)
                 hard.append((name, seed, str(robots), *(measure_set(of_size, starts) for starts in SETS)))
-        if name in RULED and (name, number + 1) not in runs:
-            ruled = [of_rule(run.of_size(robots)) for robots in SIZES]
-            rows.append((name, "rule", *(measure(each)[0] for each in ruled), "none"))
-            print(*rows[-1], flush=True)
+        if name in RINGS and (name, number + 1) not in runs:
+            for other, change in (("rule", of_rule), ("own eyes", of_own_eyes)):
+                changed = {robots: change(run.of_size(robots)) for robots in SIZES}
+                rows.append((name, other, *(measure(each)[0] for each in changed.values()), "none"))
+                print(*rows[-1], flush=True)
+                hard += [
+                    (name, other, str(robots), *(measure_set(changed[robots], starts) for starts in SETS))
+                    for robots in SET_SIZES
+                ]
     tables = [
         table.as_markdown(("", "seed", *map(str, SIZES), "training"), rows),
         table.as_markdown(("", "seed", "signal", "at least", *map(str, SIZES)), exact),

@@ -83,11 +83,12 @@ def study(experiment: str, seeds: int, runs: Path) -> Study:
     return Study(experiment, searched, discovered, reference, never_annealed, never_found, tuple(formed))
 
 
-def anneal(experiment: str) -> list[Finding]:
-    """Returns the valid patterns that annealing ends in."""
+def anneal(experiment: str, first: int = 0) -> list[Finding]:
+    """Returns the valid patterns that annealing ends in, with seeds from a first one."""
     config = preset(experiment)
     annealings = [
-        OptimumConfig(config.world, config.objective, polished=POLISHED, seed=seed) for seed in range(ANNEALINGS)
+        OptimumConfig(config.world, config.objective, polished=POLISHED, seed=first + seed)
+        for seed in range(ANNEALINGS)
     ]
     ends = [
         (search, index, formation)

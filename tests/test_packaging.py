@@ -14,7 +14,7 @@ from packaging.version import Version
 
 ROOT = Path(__file__).parents[1]
 CONSTRAINTS = ["constraints.txt", "constraints-oldest.txt"]
-UNTRIED = {"jaxmarl", "stable-baselines3"}
+UNTRIED = {"jaxmarl", "ribs", "stable-baselines3"}
 """What no test installs."""
 
 INSTRUCTIONS = {"FROM", "WORKDIR", "COPY", "RUN", "USER", "ENTRYPOINT", "CMD"}
@@ -98,7 +98,7 @@ def test_each_set_of_weights_has_a_card_in_the_wheel():
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]
     packed = {path for pattern in settings["package-data"]["murmurate"] for path in package.glob(pattern)}
     folders = [path.parent for path in (package / "pretrained").rglob("manifest.json")]
-    assert len(folders) == 4
+    assert len(folders) == 5
     for folder in folders:
         card = folder / "README.md"
         assert card in packed

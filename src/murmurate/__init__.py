@@ -210,7 +210,8 @@ def pretrained(objective: str = "C2", sensing: str = "visible", scheduler: str =
         objective: C2 (gathering anywhere) or C1 (gathering at the origin, which a landmark marks for all).
         sensing: What robots perceive, in frames of their own: visible (fully visible robots), global (all robots),
             chiral (visible, with a common handedness) or noisy (visible, with noise); or shared: all positions, in one
-            frame. These weights remember formations of 4 to 16 robots, and form any other one (`Run.forming`).
+            frame. These weights remember formations of 4, 6, 8, 10, 12 and 16 robots, and form any other one of up to
+            16 (`Run.forming`).
         scheduler: When they move: fsync, ssync, adversarial, async or async-nonrigid.
 
     Returns:

@@ -12,10 +12,13 @@ import pytest
 from benchmarks.pretrained import pack
 
 import murmurate
+from murmurate.cli import show
 from murmurate.cli.main import main
 from murmurate.errors import BeyondTrainingWarning, InputError, RunError
+from murmurate.geometry.similarity import distance
 from murmurate.runs import files, pretrained
 from murmurate.runs.folder import RunFolder
+from murmurate.runs.formations import reached
 
 
 def refused(capsys, arguments, *parts):
@@ -30,14 +33,15 @@ def refused(capsys, arguments, *parts):
 def test_the_weights_are_small_and_whole():
     files = [path for path in pretrained.FOLDER.rglob("*") if path.is_file()]
     assert 0 < sum(path.stat().st_size for path in files) <= 1_000_000
-    assert pretrained.available() == {"C1": ("global", "visible"), "C2": ("global", "visible")}
+    assert pretrained.available() == {"C1": ("global", "visible"), "C2": ("global", "shared", "visible")}
     for objective, sensings in pretrained.available().items():
         for sensing in sensings:
             run = murmurate.pretrained(objective, sensing)
-            assert (run.experiment.objective, run.experiment.sensing.name) == (objective, sensing)
+            shared = sensing == "shared"
+            perceived = "global" if shared else sensing
+            assert (run.experiment.objective, run.experiment.sensing.name) == (objective, perceived)
             assert RunFolder(run.folder).metrics()
-            assert run.experiment.sensing.rotation
-            assert run.experiment.sensing.reflection
+            assert run.experiment.sensing.rotation == run.experiment.sensing.reflection == (not shared)
             assert set(run.experiment.sizes) <= set(range(3, 33))
 
 
@@ -78,6 +82,33 @@ def test_they_form_patterns_at_once(objective, sensing):
         assert np.linalg.norm(trajectories.final.mean(axis=1), axis=1).max() < run.experiment.world.safe_distance
 
 
+def test_those_of_one_shared_frame_form_what_they_are_told(tmp_path, monkeypatch, capsys):
+    weights = murmurate.pretrained("C2", "shared")
+    assert sorted(weights.cascade.policies[0].sizes) == sorted(weights.experiment.sizes)
+    run = weights.of_size(6)
+    trajectories = run.rollout(20, key=3)
+    assert murmurate.check_validity(trajectories, run.experiment.world).valid.all()
+    places = 9.0 * np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [2.0, 1.0], [2.0, 2.0]])
+    told = weights.forming(places)
+    assert reached(told, told.rollout(20, key=3)).all()
+    with pytest.raises(InputError, match=r"robots = 5: must be 4, 6, 8, 10, 12, 16: .* remembers formations of"):
+        weights.of_size(5)
+    monkeypatch.setattr(show, "_draw", lambda *_: 0)
+    out = tmp_path / "second"
+    assert main(["show", "--pattern", "2", "--robots", "6", "--out", str(out), "--quiet"]) == 0
+    assert "formed within 0.1 R in 32 of 32 episodes" in capsys.readouterr().out
+    second = murmurate.load(out)
+    assert second.experiment.world.robots == 6
+    best = run.remembered().classes[1].representative.positions
+    assert distance(second.rollout(1).final[0], best, scaling=False, reflection=False) < 0.1
+
+
+def test_training_may_begin_with_them():
+    assert pretrained.run_folder("C2-visible") == pretrained.FOLDER / "C2" / "visible"
+    for word in ("C2-radar", "C3-visible", "runs/C2-visible", "C2"):
+        assert str(pretrained.run_folder(word)) == word
+
+
 def test_a_scheduler_may_be_chosen():
     run = murmurate.pretrained(scheduler="async").of_size(3)
     assert run.experiment.scheduler.name == "async"
@@ -89,7 +120,7 @@ def test_a_scheduler_may_be_chosen():
     ("choice", "line"),
     [
         ({"objective": "C3"}, "objective = 'C3': must be one of"),
-        ({"sensing": "radar"}, "sensing = 'radar': must be one of global, visible, chiral, noisy"),
+        ({"sensing": "radar"}, "sensing = 'radar': must be one of global, visible, chiral, noisy, shared"),
         (
             {"scheduler": "psync"},
             "scheduler = 'psync': must be one of fsync, ssync, adversarial, async, async-nonrigid",

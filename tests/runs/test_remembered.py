@@ -157,7 +157,8 @@ def test_evaluate_writes_a_run_that_forms_what_it_was_told(run, tmp_path, capsys
     assert not (tmp_path / "x").exists()
 
 
-def test_a_pattern_of_a_catalogue_is_formed_drawn_and_exported(run, tmp_path, capsys):
+def test_a_pattern_of_a_catalogue_is_formed_drawn_and_exported(run, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(plots, "animate", lambda *_: None)  # it takes long, and is tried elsewhere
     patterns, folder = tmp_path / "patterns", str(run.folder)
     assert main(["catalogue", folder, "--remembered", "--out", str(patterns), "--quiet"]) == 0
     third = ["--target", str(patterns), "--pattern", "3"]

@@ -57,6 +57,7 @@ def run(argv: Sequence[str]) -> int:
     from murmurate.runs.experiment import read_toml
     from murmurate.runs.folder import RunFolder
     from murmurate.runs.grid import Grid, run_name
+    from murmurate.runs.pretrained import run_folder
     from murmurate.runs.run import Run
     from murmurate.runs.train import discover
 
@@ -76,7 +77,7 @@ def run(argv: Sequence[str]) -> int:
     if options.diverse is not None:
         _check_diverse(options, config)
     name = run_name(config.name, options.learner or config.policy.name)
-    initial = None if options.initial is None else Run.open(options.initial, options.trust)
+    initial = None if options.initial is None else Run.open(run_folder(options.initial), options.trust)
     if options.seeds is not None or options.vary:
         from murmurate.cli.many import discover_many
 
@@ -171,7 +172,10 @@ def _parser(word: str | None, argv: Sequence[str]) -> Parser:
     text = "training preset (default: that of the policy; formation for A to F, equivariant for others)"
     parser.add_argument("--learner", metavar=f"{{{names}}}", help=text)
     parser.add_argument("--resume", action="store_true", help="continue the run that the folder holds")
-    text = "begin with the policies of this run, of the same shapes, instead of new ones; with --seeds, each of them"
+    text = (
+        "begin with the policies of this run, of the same shapes, instead of new ones; with --seeds, each of them; or "
+        "with the package's weights, such as C2-visible"
+    )
     parser.add_argument("--from", dest="initial", metavar="RUN", help=text)
     text = "import the modules that the run of --from names, which executes them"
     parser.add_argument("--trust", action="store_true", help=text)

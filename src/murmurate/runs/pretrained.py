@@ -11,7 +11,7 @@ from murmurate.runs.comparison import SCHEDULERS, SENSINGS
 from murmurate.runs.folder import RunFolder
 from murmurate.runs.run import Run
 
-__all__ = ["CARD", "FOLDER", "SHARED", "available", "pretrained"]
+__all__ = ["CARD", "FOLDER", "SHARED", "available", "pretrained", "run_folder"]
 
 FOLDER = Path(murmurate.__file__).parent / "pretrained"
 """One folder for each objective, in it one for each kind of sensing: weights serve every scheduler."""
@@ -27,6 +27,13 @@ def available() -> dict[str, tuple[str, ...]]:
     """Returns the objectives that there are weights for, and for which kinds of sensing."""
     available = sorted((path.parent.name, path.name) for path in FOLDER.glob("*/*") if RunFolder(path).is_finished())
     return {objective: tuple(sensing for name, sensing in available if name == objective) for objective, _ in available}
+
+
+def run_folder(word: str) -> Path:
+    """Returns the folder of a run: that of the package's weights for a name such as C2-visible, unless there is one."""
+    objective, _, sensing = word.partition("-")
+    is_weights = sensing in available().get(objective, ()) and not Path(word).exists()
+    return FOLDER / objective / sensing if is_weights else Path(word)
 
 
 def pretrained(objective: str = "C2", sensing: str = "visible", scheduler: str = "fsync") -> Run:
