@@ -78,7 +78,7 @@ formations: $(VENV)/.core  ## other patterns than the best, and random ones (an 
 seeds: $(VENV)/.core  ## searches formations of A-F with sixteen seeds (an hour); writes docs/discoveries.md
 	$(BIN)/python -m benchmarks.seeds
 
-archives: $(VENV)/.core  ## searches, annealing and MAP-Elites (pyribs) at equal cost (an hour); writes into docs/discoveries.md
+archives: $(VENV)/.core  ## searches, annealing and MAP-Elites (pyribs) at equal cost (an hour); writes into docs/formations.md
 	$(BIN)/python -c 'import ribs' 2>/dev/null || $(INSTALL) '.[benchmark]'
 	$(BIN)/python -m benchmarks.archives
 

@@ -3,7 +3,7 @@
 python -m benchmarks.archives [--docs docs] [--experiments E F] [--seeds 0 1]
 
 Each method has one core for as long as the annealing of an experiment takes, compilation left out. Writes the table of
-docs/discoveries.md. Needs pyribs (the benchmark extra).
+docs/formations.md. Needs pyribs (the benchmark extra).
 """
 
 from __future__ import annotations
@@ -258,7 +258,7 @@ def main() -> None:
         for row in rows(experiment, options.seeds):
             print(*row, sep="  ", flush=True)
             lines.append(row)
-    document = options.docs / "discoveries.md"
+    document = options.docs / "formations.md"
     before, _, rest = document.read_text(encoding="utf-8").partition(BEGIN)
     text = table.as_markdown(HEADER, lines)
     files.write_text(document, f"{before}{BEGIN}\n{text}{END}{rest.partition(END)[2]}")

@@ -138,6 +138,7 @@ def _table(rows: Sequence[Mapping[str, Any]], families: Sequence[str], with_sche
     body = [
         [*([scheduler] if with_scheduler else []), str(robots), *(texts.get(family, "-") for family in families)]
         for (scheduler, robots), texts in lines.items()
+        if set(texts.values()) != {"-"}  # the weights are not for so many robots
     ]
     rule = ["---" if name == "scheduler" else "---:" for name in head]
     return "\n".join("| " + " | ".join(line) + " |" for line in (head, rule, *body))
