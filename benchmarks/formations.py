@@ -19,7 +19,7 @@ import murmurate
 from benchmarks.seeds import anneal
 from murmurate.analysis import Catalogue, unmatched
 from murmurate.analysis.measures import nearest_distances
-from murmurate.cli.catalogue import PLATE, show
+from murmurate.cli.catalogue import MAP_PLATE, PLATE, show
 from murmurate.discovery import bound_steps
 from murmurate.runs import files, formations, table
 from murmurate.runs.paper import EXPERIMENTS
@@ -136,7 +136,8 @@ def main() -> None:
     if "E" in runs:
         with tempfile.TemporaryDirectory() as folder:
             show(runs["E"].remembered(), Path(folder))
-            shutil.copy(Path(folder) / PLATE, options.docs / "figures" / "remembered.png")
+            for plate, name in ((PLATE, "remembered.png"), (MAP_PLATE, "remembered-map.png")):
+                shutil.copy(Path(folder) / plate, options.docs / "figures" / name)
     document = options.docs / "formations.md"
     tables = page(runs, more, [weights.of_size(robots) for robots in TARGET_SIZES])
     before, _, rest = document.read_text(encoding="utf-8").partition(BEGIN)

@@ -59,7 +59,7 @@ def test_output_is_replaced_where_it_cannot_be_encoded(
         ("show", name, "other", "--out", f"{name}4"): f"picture: {shown}4",
         # In a table, the backslash is escaped once more: a page would act on it.
         ("table", name, "other"): f"| {shown if name.isprintable() else escape.markdown(name)} | tiny ",
-        ("catalogue", name, "--out", f"{name}5"): f"plate: {shown}5",
+        ("catalogue", name, "--out", f"{name}5"): f"plates: {shown}5",
         ("export", name, "--trajectories", "csv", "--episodes", "1"): f"waypoints: {shown}.csv",
     }.items():
         status, out, err = run_encoded(encoding, errors, *arguments)

@@ -33,7 +33,7 @@ def test_seeds_are_runs_of_their_own_and_fill_one_catalogue(tiny_toml, discovere
             assert lines.count(f"tiny-central-seed{seed}: {work}: 4/4") == 1
         assert lines.count(f"tiny-central-seed{seed}: evaluation: 200/200") == 1
     assert out.count("| tiny | central |") == 2
-    assert "plate: " in out
+    assert "plates: " in out
 
 
 def test_side_by_side_they_end_as_in_turn(tiny_toml, discovered, tmp_path, capsys):

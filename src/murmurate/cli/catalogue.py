@@ -80,8 +80,8 @@ def _draw_map(catalogue: Catalogue, path: Path) -> None:
     for cell, patterns in cells.items():
         best = patterns[0].representative
         symbol = patterns[0].symmetry.symbol
-        caption = f"{cell.hull} on hull{' · ' * bool(symbol)}{symbol} · long {cell.elongation:g}"
-        note = f"margin {cell.margin:g} R · best of {len(patterns)}"
+        caption = f"{cell.hull} on hull{' · ' * bool(symbol)}{symbol} · best of {len(patterns)}"
+        note = f"elongation {cell.elongation:g}+ · margin {cell.margin:g}+ R"
         shown.append(plots.PlatePattern(upright(best.positions), best.radius, best.scan_radius, caption, note))
     title = f"Map of the patterns of {len(catalogue.findings[0].positions)} robots"
     subtitle = f"the best pattern of each of {len(cells)} {'cell' if len(cells) == 1 else 'cells'}"
