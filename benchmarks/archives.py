@@ -22,7 +22,7 @@ from ribs.archives import GridArchive
 from ribs.emitters import EvolutionStrategyEmitter, IsoLineEmitter
 from ribs.schedulers import Scheduler
 
-from benchmarks.seeds import POLISHED, anneal
+from benchmarks.seeds import CLOSE, POLISHED, anneal, optimum_gap
 from murmurate.analysis import Catalogue, Finding, unmatched
 from murmurate.analysis.optimum.polish import polish
 from murmurate.analysis.optimum.search import VALIDITY_WEIGHT, OptimumConfig
@@ -45,10 +45,6 @@ EMITTERS, BATCH = 8, 64
 
 POLISHING = 0.5
 """Share of the time that is left to polish elites, where MAP-Elites does as annealing does with its ends."""
-
-
-CLOSE = 0.01
-"""Greatest gap of a pattern to the local optimum that polishing leads it to, as a share of its objective."""
 
 
 def findings(
@@ -225,14 +221,6 @@ def rows(experiment: str, seeds: Sequence[int]) -> Iterator[tuple[str, ...]]:
             f"{100 * np.mean(np.array(gaps) <= CLOSE):.0f}%" if gaps else "",
             f"{100 * (1 - max((c.classes[0].value for c in catalogues), default=0) / best):.3f}%",
         )
-
-
-def optimum_gap(finding: Finding) -> float:
-    """Returns by how much a pattern is below the local optimum that polishing leads it to, as a share of that."""
-    config = preset(finding.experiment)
-    target = OptimumConfig(config.world, config.objective).target
-    best = target.value(polish(finding.positions, target))
-    return (best - finding.value) / best
 
 
 def _range(numbers: Sequence[int]) -> str:

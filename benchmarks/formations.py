@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 import murmurate
-from benchmarks.seeds import anneal
+from benchmarks.seeds import CLOSE, anneal, optimum_gap
 from murmurate.analysis import Catalogue, unmatched
 from murmurate.analysis.measures import nearest_distances
 from murmurate.cli.catalogue import MAP_PLATE, PLATE, show
@@ -45,9 +45,11 @@ def pattern_row(name: str, run: murmurate.Run) -> tuple[str, ...]:
     new = unmatched(found, [finding.positions for finding in annealed.findings])
     formed = formations.form_each(run, found.classes[:PATTERNS], PATTERN_STARTS, KEY)
     episodes = sum(each.episodes for each in formed)
+    gaps = np.array([optimum_gap(pattern.representative) for pattern in found.classes])
     return (
         *(name, str(run.experiment.world.robots), str(run.cascade.policies[-1].goals().shape[-1])),
         *(str(len(found.findings)), str(len(found.classes))),
+        f"{(gaps <= CLOSE).sum()}, {100 * max(gaps.max(), 0):.2f}%",
         *(str(len(annealed.classes)), str(len(annealed.classes) - len(missed)), str(len(new))),
         *(str(len(formed)), f"{sum(each.formed for each in formed)} of {episodes}"),
         *(f"{sum(each.valid for each in formed)} of {episodes}", str(sum(each.failed for each in formed))),
@@ -95,7 +97,17 @@ def page(runs: dict[str, murmurate.Run], more: dict[str, murmurate.Run], sizes: 
     targets = [target_row(run) for run in sizes]
     print(targets, flush=True)
     pattern_header = (
-        *("", "robots", "searched", "valid", "distinct", "annealed", "of these found", "never annealed"),
+        *(
+            "",
+            "robots",
+            "searched",
+            "valid",
+            "distinct",
+            "within 1%, greatest gap",
+            "annealed",
+            "of these found",
+            "never annealed",
+        ),
         *("told", "formed", "valid", "contact or exit"),
     )
     target_header = ("robots", *(f"{word}{start}" for start in ("", ", corner") for word in TARGET_COLUMNS))

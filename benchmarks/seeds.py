@@ -13,6 +13,7 @@ from pathlib import Path
 import murmurate
 from murmurate import plots
 from murmurate.analysis import Catalogue, Finding, PatternClass, unmatched, upright
+from murmurate.analysis.optimum.polish import polish
 from murmurate.analysis.optimum.search import Formation, OptimumConfig, annealed
 from murmurate.runs import table
 from murmurate.runs.execute import LocalProcesses, run_jobs
@@ -32,6 +33,9 @@ ANNEALINGS, POLISHED = 1, 256
 
 BEST, STARTS, KEY = 100, 5, 7
 """How many patterns are formed, best first, from how many starts each, and their seed; training has other starts."""
+
+CLOSE = 0.01
+"""Greatest gap of a pattern to the local optimum that polishing leads it to, as a share of its objective."""
 
 MAX_DRAWN = 14
 
@@ -97,6 +101,14 @@ def anneal(experiment: str, first: int = 0) -> list[Finding]:
         if formation.valid
     ]
     return [_finding(experiment, search, index, formation) for search, index, formation in ends]
+
+
+def optimum_gap(finding: Finding) -> float:
+    """Returns by how much a pattern is below the local optimum that polishing leads it to, as a share of that."""
+    config = preset(finding.experiment)
+    target = OptimumConfig(config.world, config.objective).target
+    best = target.value(polish(finding.positions, target))
+    return (best - finding.value) / best
 
 
 def _finding(experiment: str, search: OptimumConfig, index: int, formation: Formation) -> Finding:

@@ -38,15 +38,17 @@ class _Budget:
         ppo: Updates by PPO of each, where there are any.
         worlds: Parallel episodes of these.
         gradients: Updates by gradients, where there are any.
+        gradient_worlds: Parallel episodes of these.
     """
 
     policies: int
     ppo: int = PPOConfig().updates
     worlds: int = PPOConfig().worlds
     gradients: int = GradientConfig().updates
+    gradient_worlds: int = GradientConfig().worlds
 
 
-_QUICK = {DEFAULT_LEARNER: _Budget(1, gradients=100), "central": _Budget(3, ppo=100, worlds=128)}
+_QUICK = {DEFAULT_LEARNER: _Budget(1, gradients=60, gradient_worlds=32), "central": _Budget(3, ppo=100, worlds=128)}
 
 
 @dataclass(frozen=True)
@@ -154,7 +156,7 @@ def _quickened(config: ExperimentConfig, learner: str) -> ExperimentConfig:
     budget = _QUICK[learner]
 
     def stage(like: StageConfig) -> StageConfig:
-        gradients = replace(like.gradients, updates=budget.gradients)
+        gradients = replace(like.gradients, updates=budget.gradients, worlds=budget.gradient_worlds)
         return replace(like, ppo=replace(like.ppo, updates=budget.ppo, worlds=budget.worlds), gradients=gradients)
 
     # As many episodes everywhere as the evaluation has: a cascade is then compiled once for each length of its list.
