@@ -1,4 +1,4 @@
-"""Geometry of one configuration or a batch of them: visibility, contact, similarity, convex hulls and rings.
+"""Geometry of one configuration or a batch of them: visibility, contact, obstacles, similarity, hulls and rings.
 
 Positions are `(..., robots, 2)` with any batch axes first, in NumPy or JAX. Arguments are checked: a last axis that is
 not 2, NaN, or a radius <= 0 is an `InputError`.
@@ -21,6 +21,7 @@ from murmurate.geometry.contact import (
     outside,
 )
 from murmurate.geometry.hull import convex_layers, on_hull
+from murmurate.geometry.obstacles import obstacle_approach, obstacle_clearances, occluded_by_obstacles
 from murmurate.geometry.rings import Ring, smallest_ring
 from murmurate.geometry.visibility import (
     neighbors,
@@ -43,7 +44,10 @@ __all__ = [
     "in_contact",
     "neighbors",
     "neighbors_and_visible",
+    "obstacle_approach",
+    "obstacle_clearances",
     "occluded",
+    "occluded_by_obstacles",
     "on_hull",
     "outside",
     "shadow",

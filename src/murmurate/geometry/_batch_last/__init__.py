@@ -19,6 +19,14 @@ from murmurate.geometry._batch_last.contact import (
 )
 from murmurate.geometry._batch_last.hull import hull_neighbors, hull_shares, on_hull
 from murmurate.geometry._batch_last.loops import other_robots, sum_over_third_robots, sum_terms
+from murmurate.geometry._batch_last.obstacles import (
+    distances_between_walls,
+    distances_to_walls,
+    nearest_points,
+    obstacle_approach,
+    obstacle_clearances,
+    occluded_by_obstacles,
+)
 from murmurate.geometry._batch_last.visibility import (
     as_floating,
     fold,
@@ -38,13 +46,19 @@ __all__ = [
     "closest_approach",
     "contact_matrix",
     "distances",
+    "distances_between_walls",
+    "distances_to_walls",
     "fold",
     "hull_neighbors",
     "hull_shares",
     "in_contact",
+    "nearest_points",
     "neighbors",
     "neighbors_and_visible",
+    "obstacle_approach",
+    "obstacle_clearances",
     "occluded",
+    "occluded_by_obstacles",
     "on_hull",
     "other_robots",
     "outside",
