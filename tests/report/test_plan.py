@@ -61,7 +61,7 @@ def test_a_quick_report_has_the_same_problems_and_smaller_budgets():
         for leaf in config_io.leaves(run.config):
             if before[leaf.path] != leaf.value:
                 assert leaf.path.endswith(
-                    ("ppo.updates", "ppo.worlds", "gradients.updates", "max_policies", "sigma", "episodes")
+                    ("ppo.updates", "worlds", "gradients.updates", "max_policies", "sigma", "episodes")
                 )
                 assert leaf.value < before[leaf.path]
 
