@@ -11,6 +11,15 @@ from murmurate.geometry import _batch_last
 from oracles.configurations import disjoint
 
 RADIUS, SCAN = 1.0, 8.0
+
+
+def beside(positions):
+    """Two discs and a wall, the same in every episode of the positions' batch."""
+    ones = (1,) * (np.ndim(positions) - 2)
+    discs, wall = [[4.0, 1.0, 2.0], [-3.0, 2.0, 0.5]], [[-5.0, -5.0, 2.0, -4.0]]
+    return [np.array(rows, np.float32).reshape((*np.shape(rows), *ones)) for rows in (discs, wall)]
+
+
 KERNELS = {
     "neighbors": lambda p: _batch_last.neighbors(p, SCAN),
     "occluded": lambda p: _batch_last.occluded(p, RADIUS),
@@ -26,6 +35,13 @@ KERNELS = {
     "in_contact": lambda p: _batch_last.in_contact(p, p, RADIUS),
     "outside": lambda p: _batch_last.outside(p, 4.0, 4.0),
     "any_outside": lambda p: _batch_last.any_outside(p, 4.0, 4.0),
+    "obstacle_clearances": lambda p: _batch_last.obstacle_clearances(p, RADIUS, *beside(p)),
+    "obstacle_approach": lambda p: _batch_last.obstacle_approach(
+        p, np.ones(np.shape(p), np.float32), RADIUS, *beside(p)
+    ),
+    "occluded_by_obstacles": lambda p: _batch_last.occluded_by_obstacles(p, RADIUS, *beside(p)),
+    "nearest_points": lambda p: _batch_last.nearest_points(p, *beside(p)),
+    "distances_to_walls": lambda p: _batch_last.distances_to_walls(p, beside(p)[1]),
 }
 every_kernel = pytest.mark.parametrize("kernel", KERNELS.values(), ids=KERNELS)
 
@@ -38,8 +54,8 @@ def test_every_kernel_is_here():
     tools = {
         "as_floating", "fold", "hull_neighbors", "hull_shares", "other_robots", "sum_over_third_robots", "sum_terms",
     }  # fmt: skip
-    of_views = {"stands_between"}
-    assert set(KERNELS) == set(_batch_last.__all__) - tools - of_views
+    of_views, of_walls = {"stands_between"}, {"distances_between_walls"}
+    assert set(KERNELS) == set(_batch_last.__all__) - tools - of_views - of_walls
 
 
 @pytest.mark.unchecked

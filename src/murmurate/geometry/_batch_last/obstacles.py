@@ -111,6 +111,7 @@ def occluded_by_obstacles(
 ) -> Bool[Array, "robots robots *batch"]:
     """Returns which robots (column) an obstacle occludes from which (row); False on the diagonal."""
     xp, positions = as_floating(positions)
+    discs, walls = xp.asarray(discs), xp.asarray(walls)  # a loop's number is no index of another library's array
     dx, dy, distance = offsets(xp, positions)
     apart = xp.where(distance > 0, distance, 1.0)
     # Of overlapping discs the hull is the disc of the observed robot: its sides have no length.
@@ -125,18 +126,18 @@ def occluded_by_obstacles(
         return x * axis_x + y * axis_y, y * axis_x - x * axis_y
 
     def by_disc(number: Any, occluded: Any) -> Any:
-        disc = discs[number]
-        ahead, aside = in_frame(disc[0], disc[1])
+        x, y, size = (discs[number][place][None, None] for place in range(3))
+        ahead, aside = in_frame(x, y)
         aside = abs(aside)
         along, across = ahead * cosine + aside * sine, aside * cosine - ahead * sine
         beside = xp.where(across > 0, across, 0.0)
         beyond = _length(xp, ahead - distance, aside) - radius
         apart = xp.where(along <= 0, _length(xp, ahead, aside), xp.where(along <= side, beside, beyond))
-        return occluded | (apart < disc[2])
+        return occluded | (apart < size)
 
     def by_wall(number: Any, occluded: Any) -> Any:
-        wall = walls[number]
-        a, b = in_frame(wall[0], wall[1]), in_frame(wall[2], wall[3])
+        ends = [walls[number][place][None, None] for place in range(4)]
+        a, b = in_frame(*ends[:2]), in_frame(*ends[2:])
         x, y = _nearest_on_segment(xp, distance, 0.0, *a, *b)
         meets_base = _length(xp, x - distance, y) < radius
         touching = (side * cosine, side * sine)
@@ -167,7 +168,8 @@ def _nearest_on_segment(xp: Any, x: Any, y: Any, x0: Any, y0: Any, x1: Any, y1: 
 def _between_segments(xp: Any, first: Any, second: Any) -> Any:
     """Returns the distances between segments `(_, _, 4, *batch)`: from an end of one to the other, or 0."""
     ends = [tuple(segment[:, :, place] for place in range(4)) for segment in (first, second)]
-    least = xp.where(_cross(*ends[0], *ends[1]), 0.0, xp.inf)
+    zero = xp.zeros((), dtype=ends[0][0].dtype)
+    least = xp.where(_cross(*ends[0], *ends[1]), zero, zero + xp.inf)
     for one, other in (ends, ends[::-1]):
         for x, y in (one[:2], one[2:]):
             near_x, near_y = _nearest_on_segment(xp, x, y, *other)
