@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import shapely
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -157,6 +158,14 @@ def test_nearest_points():
     discs, walls = np.array([[5.0, 0.0, 2.0], [0.0, 0.0, -np.inf], [0.0, 0.0, 4.0]]), np.array([[-1.0, 3.0, 8.0, 3.0]])
     points = _batch_last.nearest_points(np.zeros((1, 2)), discs, walls)[0]
     np.testing.assert_allclose(points, [[3.0, 0.0], [np.inf, 0.0], [4.0, 0.0], [0.0, 3.0]])
+
+
+@given(seeds)
+def test_distances_between_walls_agree_with_the_oracle(seed):
+    _, _, walls = scene(seed, robots=0, discs=0, walls=4)
+    lines = shapely.linestrings(walls.reshape(-1, 2, 2))
+    expected = shapely.distance(lines[:, None], lines)
+    np.testing.assert_allclose(_batch_last.distances_between_walls(walls, walls), expected, atol=1e-9)
 
 
 def test_batches_share_obstacles():

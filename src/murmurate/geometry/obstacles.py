@@ -1,4 +1,4 @@
-"""Obstacles that stand still: how far robots are from them, whether robots touch them, and whom they hide.
+"""Obstacles that stand still: how far robots are from them, whether robots touch them, and which robots they hide.
 
 Obstacles are discs of any radius, `(..., discs, 3)`: x, y and radius; and straight walls without thickness,
 `(..., walls, 4)`: x and y of both ends. Answers number the discs first, then the walls. A disc of radius -inf is

@@ -195,22 +195,15 @@ def stands_between(
 
 
 def sole_occluder_counts(
-    positions: Float[Array, "robots 2 *batch"],
-    radius: Scalar,
-    scan_radius: Scalar,
-    hidden: Bool[Array, "robots robots *batch"] | None = None,
+    positions: Float[Array, "robots 2 *batch"], radius: Scalar, scan_radius: Scalar
 ) -> Float[Array, "robots *batch"]:
-    """Returns for each robot how many ordered pairs of neighbours it alone occludes from each other.
-
-    Pairs that something else hides from each other, `hidden`, do not count.
-    """
+    """Returns for each robot how many ordered pairs of neighbours it alone occludes from each other."""
     xp, positions = as_floating(positions)
     dx, dy, distance = offsets(xp, positions)
     intervals = angular_intervals(xp, dx, dy, distance, radius)
     few = distance.shape[0] <= MAX_PAIRWISE_ROBOTS
     occluder = (_sole_occluder if few else _sole_occluder_in_loop)(xp, intervals)
-    counts = distance <= scan_radius if hidden is None else (distance <= scan_radius) & ~hidden
-    occluder = xp.where(counts, occluder, -1)
+    occluder = xp.where(distance <= scan_radius, occluder, -1)
     return xp.astype((_frequencies if few else _frequencies_by_scatter)(xp, occluder), positions.dtype)
 
 
